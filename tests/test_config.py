@@ -91,7 +91,7 @@ def test_the_profile_of_a_real_board_is_strict_and_unsigned():
 
 
 @pytest.mark.parametrize("name", [name for name in profiles() if not name.startswith(("sim_", "usb2_tras"))])
-def test_a_real_boards_guard_bears_a_stall_of_3_ms_and_acts_before_a_loop_counts_as_hung(name):
+def test_a_real_boards_guard_tolerates_a_stall_of_3_ms_and_acts_before_a_loop_counts_as_hung(name):
     config = load_config(settings=[f"profile={name}"])
     in_a_row_s = config.guard.missed_in_a_row / config.loop.rate_hz
     assert 0.006 < in_a_row_s <= config.guard.silence_s / 2
@@ -640,6 +640,6 @@ def test_a_mistake_in_a_profile_file_names_it_unless_the_file_or_the_command_lin
         assert [mistake.place for mistake in caught.value.mistakes] == [place]
 
 
-def test_a_value_of_more_lines_than_anyone_writes_has_no_line_but_its_message(written):
+def test_a_value_of_too_many_lines_has_its_message_but_no_line(written):
     file = written("[guard]\nbrake_limit = [" + "\n1," * 5000 + "]\n")
     assert mistakes(file=file)["guard.brake_limit"].endswith("must be a number above 0 and at most 1")

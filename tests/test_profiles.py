@@ -166,7 +166,7 @@ class TestSignature:
             ["board.verified_on=2027-01-01"],
         ],
     )
-    def test_who_signed_has_not_signed_for_another_logic_name_or_day(self, lab, settings):
+    def test_a_sign_off_is_not_valid_for_another_logic_name_or_day(self, lab, settings):
         assert "A. Lab" in lab(*settings).board.read_only
 
     def test_a_reason_to_stay_off_cannot_be_taken_away_over_the_signature(self, tmp_path):

@@ -40,7 +40,7 @@ def test_the_unit_is_what_the_keys_name_ends_with(key, unit):
         ("", "s", ""),
     ],
 )
-def test_a_text_is_answered_with_the_number_that_was_meant(text, unit, hint):
+def test_a_text_gets_the_likely_number_as_a_hint(text, unit, hint):
     assert number_hint(text, unit) == hint
 
 
@@ -74,5 +74,5 @@ def test_any_number_has_a_hint_or_none(value, unit):
 
 
 @pytest.mark.parametrize("value", [10**400, -(10**400), math.inf, math.nan])
-def test_what_is_in_no_unit_looks_like_none(value):
+def test_a_value_in_no_known_unit_has_no_hint(value):
     assert other_unit(value, "s", 0.0, 1.0) == ""

@@ -55,7 +55,7 @@ def test_a_counter_that_wraps_is_seen_to_rise_and_its_reverse_to_fall():
     assert [word.course for word in changed_words(capture(up[::-1], RecordKind.IN))] == ["falls", "falls"]
 
 
-def test_a_word_that_goes_to_and_fro_goes_both_ways():
+def test_a_word_that_rises_and_falls_has_both_directions():
     frames = [encode_read({"ad0_result": value}) for value in (0, 5, 3)]
     (word,) = changed_words(capture(frames, RecordKind.IN))
     assert (word.direction, word.course, word.bits, word.fields) == ("READ", "both ways", 0x7, ("ad0_result",))

@@ -47,7 +47,7 @@ def test_nothing_is_written_when_an_exception_ends_the_reading(new_bench, way_ou
     assert bench.link.closed
 
 
-def test_a_board_that_does_not_answer_is_let_go_of(new_bench):
+def test_a_board_that_does_not_answer_is_released(new_bench):
     bench = new_bench()
     bench.unplug()
     with pytest.raises(LinkError), bench.board.reading():

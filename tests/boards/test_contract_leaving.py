@@ -65,7 +65,7 @@ class TestLeaving:
         run.close()
         assert_safe_and_closed(bench)
 
-    def test_safe_is_read_back_before_the_board_is_let_go(self, new_bench):
+    def test_safe_is_read_back_before_the_board_is_released(self, new_bench):
         bench = new_bench()
         live(bench, None)
         assert bench.acts[-2:] == ["send", "read"]
@@ -133,7 +133,7 @@ class TestLeaving:
         assert bench.link.closed
         assert bench.device.duties == (1.0, 0.6)
 
-    def test_leaving_takes_safe_for_confirmed_only_if_the_board_says_so(self, new_bench):
+    def test_leaving_counts_safe_as_confirmed_only_if_the_board_echoes_it(self, new_bench):
         bench = new_bench()
         with pytest.raises(UnsafeError, match="emergency switch"):
             ignored_at_the_end(bench, 0.0, 1 / 255)

@@ -29,7 +29,7 @@ class TestOpening:
         facts = {"logic_version": f"0x{version:04X}", "application_name": name, "synthesis_date": date}
         assert identity.facts() == facts
 
-    def test_the_identity_is_kept_from_entering_on(self, new_bench):
+    def test_the_identity_is_known_after_entering(self, new_bench):
         bench = new_bench()
         assert bench.board.identity is None
         with bench.board as board:

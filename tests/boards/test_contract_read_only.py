@@ -28,7 +28,7 @@ class TestReadOnly:
         for word in words:
             assert word in str(refusal.value)
 
-    def test_nothing_is_written_but_read_requests_in_the_whole_life(self, untrusted):
+    def test_only_read_requests_are_written_from_opening_to_closing(self, untrusted):
         bench, _ = untrusted
         before = dict(bench.device.settings)
         with bench.board as board:

@@ -122,7 +122,7 @@ class TestRescue:
         assert wreck.acts == [*["send"] * wreck.sends_of_safe, "read"]
 
     @pytest.mark.parametrize("trouble", ["none", "unplugged", "deaf", "interrupted"])
-    def test_the_board_is_let_go_of_in_any_case(self, wreck, trouble):
+    def test_the_board_is_released_in_any_case(self, wreck, trouble):
         prepare = {
             "unplugged": wreck.unplug,
             "deaf": wreck.ignore_commands,

@@ -157,6 +157,6 @@ def test_a_pin_has_one_use_and_a_watchdog_a_contact(new_usb2_bench, settings, wo
 
 
 @pytest.mark.parametrize("setting", ["board.timer=0", "board.numbering_pins=[7]", "board.watchdog_pin=8"])
-def test_a_pci_board_has_none_of_them(new_pci_bench, setting):
+def test_a_pci_board_has_no_such_settings(new_pci_bench, setting):
     with pytest.raises(ConfigError, match="has no frames and no known digital pins"):
         new_pci_bench(setting)

@@ -33,7 +33,7 @@ def names_in(file: Path) -> set[str]:
     return {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant)} & SHIPPED.keys()
 
 
-def test_nothing_but_a_familys_own_folder_knows_it_by_name():
+def test_only_a_familys_own_folder_knows_its_name():
     found = {file.relative_to(PRODUCT).as_posix(): names_in(file) for file in PRODUCT.rglob("*.py")}
     outside = {name for name, names in found.items() if names and not name.startswith("boards/families/")}
     assert outside == ALLOWED.keys()

@@ -149,7 +149,7 @@ def answer_of(link):
 
 
 class TestOpening:
-    def test_who_is_greeted_has_the_board(self, served, link):
+    def test_a_host_that_is_greeted_has_the_board(self, served, link):
         until(lambda: served.server.busy, "the board knows its host")
         assert decode_read(answer_of(link))["application_name"] == "ABSSIM"
 
@@ -260,7 +260,7 @@ class TestMessages:
         board.send(b"late")
         assert link.read(10) == b"late"
 
-    def test_a_board_that_takes_nothing_any_more_is_a_link_error(self, mute):
+    def test_a_board_that_no_longer_accepts_data_is_a_link_error(self, mute):
         link, _ = mute
 
         def write_for_ever():
@@ -302,11 +302,11 @@ class TestTheBoardGoesAway:
         board.close()
         return link
 
-    def test_nothing_can_be_written_any_more(self, orphan):
+    def test_nothing_can_be_written_afterwards(self, orphan):
         with pytest.raises(LinkError, match="cannot be reached: Broken pipe"):
             orphan.write(READ_REQUEST)
 
-    def test_nothing_can_be_read_any_more(self, orphan):
+    def test_nothing_can_be_read_afterwards(self, orphan):
         with pytest.raises(LinkError, match=r"closed the connection|cannot be reached"):
             orphan.read(FRAME_BYTES)
 

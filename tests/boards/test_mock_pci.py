@@ -169,7 +169,7 @@ def test_the_resistors_are_in_series_until_the_wheel_is_fast_and_again_once_it_i
     assert seen == [3, 3, 3, 0, 0, 0, 3, 3, 0]
 
 
-def test_a_command_is_shown_once_to_who_watches_the_rig(mock):
+def test_an_observer_of_the_rig_sees_a_command_once(mock):
     for _ in range(3):
         mock.width(0, 255)
         mock.width(1, 51)

@@ -149,7 +149,7 @@ def set_generic(image, sent):
 
 
 @pytest.mark.parametrize("logic", WIRINGS)
-def test_every_byte_from_opening_to_closing_is_the_first_image_but_for_what_the_wiring_means(logic):
+def test_every_byte_from_opening_to_closing_is_the_first_image_except_the_wirings_own(logic):
     image = powered_up(logic)
     bench = Bench(logic, image)
     numbered = logic == "generic"

@@ -283,7 +283,7 @@ class TestReadings:
             assert readings[name].value == pytest.approx(value, rel=5e-4), name
             assert readings[name].unit == unit
 
-    def test_they_say_that_the_alarm_flags_mean_nothing_certain(self, new_pci_bench):
+    def test_they_say_that_the_meaning_of_the_alarm_flags_is_unknown(self, new_pci_bench):
         statuses = {one.name: one.status for one in new_pci_bench().board.readings()}
         assert {name for name, status in statuses.items() if status is ALARM_BIT0.status} == {
             "alarm_bit0",

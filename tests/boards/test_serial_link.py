@@ -188,7 +188,7 @@ class TestFailures:
         with pytest.raises(LinkError, match="took no data within 50 ms"):
             link.write(bytes(100_000))
 
-    def test_a_board_that_goes_is_said_to_be_gone_regardless_of_what_is_done(self, board, link):
+    def test_every_call_reports_a_board_that_has_disappeared(self, board, link):
         board.go()
         for attempt in (lambda: link.read(150), lambda: link.write(b"x"), lambda: link.exchange(b"x", b"y", 150)):
             with pytest.raises(LinkError, match="is gone: check cable and power"):
@@ -197,7 +197,7 @@ class TestFailures:
         link.close()
         link.close()
 
-    def test_a_board_that_goes_while_it_is_waited_for_is_said_to_be_gone(self, board, link):
+    def test_a_board_that_disappears_during_a_wait_is_reported(self, board, link):
         timer = threading.Timer(0.05, board.go)
         timer.start()
         with pytest.raises(LinkError, match="is gone"):
@@ -302,7 +302,7 @@ class TestOnlyPort:
         plug_in(monkeypatch, "/dev/ttyUSB7")
         assert serial_ports.only_port() == "/dev/ttyUSB7"
 
-    def test_none_is_an_error_that_asks_for_the_cable(self, monkeypatch):
+    def test_no_port_is_an_error_that_asks_for_the_cable(self, monkeypatch):
         plug_in(monkeypatch)
         with pytest.raises(BoardError, match=r"no RT-DAC/USB: .*0403.*plugged in"):
             open_board("usb:", load_config(profile="sim_usb"), time.monotonic_ns)
@@ -394,7 +394,7 @@ class TestWithTheMock:
                 assert board.link_errors == 0
         assert server.lost_bytes == 0
 
-    def test_a_host_that_dies_in_the_midst_of_a_frame_leaves_a_board_that_listens(self, served):
+    def test_after_a_host_died_in_the_middle_of_a_frame_the_board_still_answers(self, served):
         config, server = served
         link = SerialLink(server.name, PATIENT_S)
         link.write(encode_send({"pwm0_width": 9}, logic=0x0111)[:70])
@@ -416,7 +416,7 @@ class TestWithTheMock:
             with suppress(LinkError), new_board(config, server) as board:  # until the server has seen the hang-up
                 answered = board.exchange(Command.SAFE).board_flags == 0
 
-    def test_a_board_that_goes_in_a_run_cannot_be_made_safe_and_says_so(self, served):
+    def test_a_board_that_disappears_in_a_run_cannot_be_made_safe_and_the_user_is_warned(self, served):
         config, server = served
         board = new_board(config, server).__enter__()
         board.exchange(Command(0.5, 0.0))

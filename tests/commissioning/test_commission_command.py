@@ -64,7 +64,7 @@ def commission(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.untraced
-def test_the_whole_walk_then_a_stop_with_the_signed_draft(installed, whole_script):
+def test_all_commissioning_steps_then_a_stop_with_the_signed_draft(installed, whole_script):
     procedure = installed("--board", "sim:", "--virtual", "--draft", "lab.toml", "--json", lines=whole_script)
     assert procedure.returncode == 0, procedure.stderr
     report = json.loads(procedure.stdout)

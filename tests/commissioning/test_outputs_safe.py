@@ -21,7 +21,7 @@ def energised(settings):
     return settings.get("pwm0_width", 0) or settings.get("pwm1_width", 0)
 
 
-def test_steps_one_to_four_write_nothing_but_read_requests(lab, scripts):
+def test_steps_one_to_four_write_only_read_requests(lab, scripts):
     procedure = lab.session(*(answer for name in READING for answer in scripts[name]))
     for name in READING:
         procedure.go(only=name)

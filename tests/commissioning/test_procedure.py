@@ -86,7 +86,7 @@ def test_an_interruption_at_any_step_keeps_the_draft_and_the_procedure_continues
 
 
 @pytest.mark.parametrize("step", STEPS)
-def test_who_types_stop_leaves(lab, step):
+def test_typing_stop_leaves(lab, step):
     lab.done_until(step)
     with pytest.raises(Stopped) as left:
         lab.session("stop").go()
@@ -233,7 +233,7 @@ class TestSigning:
             lab.session("", name, name, name).go()
         assert lab.draft.config.board.verified_by == ""
 
-    def test_who_does_not_confirm_the_name_has_not_signed(self, lab):
+    def test_without_a_confirmed_name_there_is_no_sign_off(self, lab):
         lab.done_until("sign")
         with pytest.raises(Stopped, match="not signed"):
             lab.session("", "the lab", "no").go()

@@ -101,7 +101,7 @@ def test_wheels_that_do_not_rest_are_not_driven(lab, at, when):
     assert lab.rig.largest == (0.0, 0.0)
 
 
-def test_a_board_that_calls_itself_something_else_by_now_is_not_driven(lab, at):
+def test_a_board_that_has_changed_its_name_is_not_driven(lab, at):
     procedure = at("motors")
     lab.rig.change_answer = lambda answer: answer[:2] + b"X" + answer[3:]
     with pytest.raises(ReadOnlyError, match="the profile knows 'ABSSIM'"):

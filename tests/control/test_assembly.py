@@ -199,7 +199,7 @@ def test_a_controller_brings_the_estimator_that_it_needs():
     assert chosen("controller.name=predictive-reaching") == ("predictive-reaching", "observer")
 
 
-def test_one_that_needs_none_in_particular_leaves_the_default():
+def test_a_controller_without_a_preferred_estimator_leaves_the_default():
     assert chosen() == ("reaching-law", "moving-window")
     assert chosen("estimator.name=observer") == ("reaching-law", "observer")
 

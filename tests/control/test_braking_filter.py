@@ -103,7 +103,7 @@ def test_the_adhesion_of_the_slip_that_is_held_is_found(stop, variation):
 
 @pytest.mark.untraced
 @pytest.mark.parametrize("variation", OWN)
-def test_what_is_expected_comes_true_when_the_next_command_comes_through(stop, variation):
+def test_the_prediction_is_right_when_the_next_command_acts(stop, variation):
     moments = stop(quiet(**variation))
     for moment in learnt(moments):
         outlook = moment.outlook

@@ -238,7 +238,7 @@ def test_a_drive_too_weak_to_turn_anything_was_identified_wrongly():
     assert driven(guarded(*weak))[0] is Reason.RUN_UP_IMPLAUSIBLE
 
 
-def test_after_the_brake_it_is_judged_again_once_it_has_let_go():
+def test_after_braking_it_is_checked_again_once_the_brake_is_released():
     """Begun at 60 rad/s, which the brake takes to 20 while its torque dies away: within 0.3 s that is not a fault."""
     config = load_config(settings=[f"encoders.counts_per_turn={COUNTS}", "loop.rate_hz=2000"])
     for late_s, plausible in ((0.29, True), (0.45, False)):

@@ -280,7 +280,7 @@ def test_the_nominal_run_gives_no_reason(nominal):
 
 
 @pytest.mark.parametrize("phase", [Phase.IDLE, Phase.ARMED, Phase.SPIN_UP, Phase.BRAKING, Phase.STOPPED, Phase.DONE])
-def test_after_a_fault_the_sequence_requests_nothing_any_more(play, phase):
+def test_after_a_fault_the_phase_machine_requests_nothing(play, phase):
     play.reach(phase)
     asked = len(play.controller.seen)
     play.sequence.phase = Phase.FAULT

@@ -87,7 +87,7 @@ def test_the_stop_speed_itself_is_not_rest(sign, more, phase):
 
 
 @pytest.mark.parametrize(("after_ns", "phase"), [(499_999_999, Phase.STOPPED), (500_000_000, Phase.DONE)])
-def test_the_brake_is_let_go_when_the_hold_time_is_over(after_ns, phase):
+def test_the_brake_is_released_when_the_hold_time_is_over(after_ns, phase):
     timed = Timed(Phase.BRAKING)
     timed.see(60_000_000)
     assert timed.phase is Phase.STOPPED

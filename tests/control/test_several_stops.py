@@ -178,7 +178,7 @@ def test_a_controller_that_cannot_be_copied_is_refused_before_anything_begins():
         made_with(2)
 
 
-def test_such_a_controller_can_do_one_stop():
+def test_a_controller_that_cannot_be_copied_can_do_one_stop():
     assert made_with(1)
 
 

@@ -136,7 +136,7 @@ def told(kind, report):
 
 
 class TestUsb2:
-    def test_the_kernel_is_the_one_that_is_meant(self, usb2, kind):
+    def test_the_kernel_is_the_intended_one(self, usb2, kind):
         name = usb2.report["kernel"]
         assert name.startswith("Linux ")
         assert ("PREEMPT_RT" in name) == (kind == "rt")

@@ -156,7 +156,7 @@ def test_a_whole_stop_in_real_time_over_the_port_replays_without_a_difference(li
 
 
 @pytest.mark.long
-def test_a_loop_that_is_killed_leaves_the_port_to_the_guardian_who_makes_the_board_safe(live, mock):
+def test_a_loop_that_is_killed_leaves_the_port_to_the_guardian_which_makes_the_board_safe(live, mock):
     run = live()
     run.until_tick(TRIP_TICKS)
     mock.until(lambda truth: truth["drive"] > 0.0)
@@ -179,7 +179,7 @@ def test_a_board_that_is_unplugged_in_a_run_is_said_loudly(live, mock):
     assert "MOTOR POWER MAY STILL BE ON: press the emergency switch" in stderr
 
 
-def test_a_board_that_is_not_there_is_said_in_words_and_nothing_is_started(tmp_path):
+def test_a_missing_board_is_a_clear_error_and_nothing_is_started(tmp_path):
     process = subprocess.run(
         [COMMAND, "run", "--board", f"usb:{tmp_path}/nowhere", "--set", "profile=sim_usb"],
         cwd=tmp_path, env=UNTRACED, capture_output=True, text=True, timeout=60, check=False,

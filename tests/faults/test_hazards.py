@@ -33,7 +33,7 @@ def test_a_hazard_says_who_does_what_how_soon_and_what_proves_it(row):
 
 
 @pytest.mark.parametrize(("number", "injection"), INJECTIONS)
-def test_an_injection_can_be_read_and_ends_in_a_way_that_there_is(number, injection):
+def test_an_injection_can_be_parsed_and_ends_in_a_known_way(number, injection):
     assert set(injection["ends"]) <= EXPLAINED, number
     for fault in " ".join(injection["faults"]).split():
         kind, _, lasts = fault.partition("@")

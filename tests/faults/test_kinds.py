@@ -55,14 +55,14 @@ def test_without_a_fault_the_stop_is_whole(short):
 
 @pytest.mark.parametrize("name", ONCE)
 @pytest.mark.parametrize("event", [pytest.param("drive+40ms", marks=pytest.mark.long), "brake+20ms"])
-def test_one_bad_exchange_is_noticed_and_outlived(short, name, event):
+def test_one_bad_exchange_is_noticed_and_tolerated(short, name, event):
     result = happened(ride(short, [f"{name}@{event}"]))
     assert (result.reason, result.refused, result.duties) == (R.NONE, None, (0.0, 0.0))
     assert failed_exchanges(result) >= 1 or name == "lose-command"
 
 
 @pytest.mark.parametrize("name", ["twice", "late=1", "supply=12.3", "heat=80"])
-def test_what_does_no_harm_is_outlived(short, name):
+def test_harmless_faults_are_tolerated(short, name):
     result = happened(ride(short, [f"{name}@drive+40ms"]))
     assert (result.reason, result.refused, result.duties) == (R.NONE, None, (0.0, 0.0))
 
@@ -105,7 +105,7 @@ def test_what_the_board_measures_is_reported_by_its_driver(fault):
     assert flags == ([0, 1, 0] if name == "alarm" else [1, 1, 1])
 
 
-def test_a_second_program_that_repeats_an_old_command_is_noticed_and_the_user_told(short):
+def test_a_second_program_that_repeats_an_old_command_is_noticed_and_the_user_warned(short):
     result = happened(ride(short, ["master@brake+20ms"]))
     assert result.reason is R.MISSED_EXCHANGES
     # a bus shows its last write, by any program; writes of another program after the reading stay unseen

@@ -119,7 +119,7 @@ def outcomes(read, appends):
         pytest.param(look_later, 3, marks=pytest.mark.long),
     ],
 )
-def test_a_record_is_whole_and_the_one_that_was_requested_or_it_is_left_out(read, appends, record_property):
+def test_a_record_is_complete_and_the_requested_one_or_it_is_left_out(read, appends, record_property):
     found = outcomes(read, appends)
     record_property(
         "told", f"ring, {read.__name__}: {len(found)} outcomes of every interleaving with {appends} appends"

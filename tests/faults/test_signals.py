@@ -32,7 +32,7 @@ def test_a_signal_before_any_line_of_a_run_leaves_outputs_off_and_no_cut_session
 @pytest.mark.parametrize(
     ("profile", "name"), [*(("sim_usb2", name) for name in SIGNALS), ("sim_usb", "SIGTERM"), ("sim_pci", "SIGINT")]
 )
-def test_a_signal_before_every_line_of_a_run_does_likewise(tmp_path, record_property, profile, name):
+def test_a_signal_before_every_line_of_a_run_ends_it_the_same_way(tmp_path, record_property, profile, name):
     strike(Lives(tmp_path, "--set", f"profile={profile}"), record_property, [name], 1.0)
 
 
@@ -74,7 +74,7 @@ class TestInRealTime:
         assert not problem
         assert (life.struck, life.code) == (True, INTERRUPTED)
 
-    def test_who_interrupts_before_the_supervisor_works_leaves_no_mock_board(self, strike, left_processes):
+    def test_an_interrupt_before_the_supervisor_works_leaves_no_mock_board(self, strike, left_processes):
         life, problem = strike(line_of(processes.__wrapped__, "yield memory, supervisor"), "SIGINT")
         assert not problem
         assert (life.struck, life.code) == (True, INTERRUPTED)

@@ -90,7 +90,7 @@ def test_a_band_of_slips_is_named(design):
     assert "slips 0.1..0.5" in text
 
 
-def test_when_all_is_well_it_says_so(design):
+def test_guaranteed_sliding_is_reported(design):
     code, text = design("--uncertain", "mu=1%")
     assert code == 0
     assert "sliding is guaranteed for the whole set" in text

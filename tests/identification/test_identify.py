@@ -78,7 +78,7 @@ def test_the_interval_holds_the_true_number(identified, name):
 
 
 @pytest.mark.parametrize(("name", "share"), [("d/J", 0.01), ("M0/J", 0.005), ("d", 0.1), ("M1(0.6)", 0.1)])
-def test_the_interval_is_narrow_for_what_counts_tell(identified, name, share):
+def test_the_interval_is_narrow_for_what_counts_determine(identified, name, share):
     estimate = identified[1][name]
     assert estimate["status"] == "identified"
     assert estimate["high"] - estimate["low"] < share * estimate["value"]

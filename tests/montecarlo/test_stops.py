@@ -77,7 +77,7 @@ def test_processes_that_share_nothing_give_the_same(together, processes):
     assert_equal(together, short_stops(traced=[0, 3], shard=3, executor=processes))
 
 
-def test_a_maker_goes_to_other_processes_too(processes):
+def test_a_factory_can_be_sent_to_other_processes(processes):
     here = short_stops(RIGS[:2], maker=parts.torque_oracle)
     assert_equal(here, short_stops(RIGS[:2], maker=parts.torque_oracle, executor=processes))
 

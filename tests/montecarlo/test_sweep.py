@@ -240,7 +240,9 @@ def test_the_table_has_the_best_first_and_fits_a_terminal(rows):
     assert max(map(len, text.splitlines())) <= 80
 
 
-def test_the_figure_shows_which_share_has_which_rms_and_leaves_out_who_never_came_near(rows, monkeypatch, tmp_path):
+def test_the_figure_shows_which_share_has_which_rms_and_leaves_out_stops_that_never_came_near(
+    rows, monkeypatch, tmp_path
+):
     saved = []
     monkeypatch.setattr(Figure, "savefig", lambda self, file, **_: (saved.append(self), file.touch()))
     draw_sweep(rows, tmp_path / "sweep.png")

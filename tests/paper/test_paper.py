@@ -94,7 +94,7 @@ def test_the_window_makes_the_experiment_better_than_euler(report):
 
 
 @pytest.mark.parametrize("count", [1, 2, 20])
-def test_the_experiment_has_as_many_rigs_as_asked_for_all_of_which_can_hold_the_slip(count):
+def test_the_experiment_has_the_requested_number_of_rigs_which_can_all_hold_the_slip(count):
     draws = {one.name: one.draws for one in paper_conditions(count)}["experiment-window"]
     assert len(draws.rigs) == count
     assert draws == parse_draws(draws.name)  # so that a sweep has the same

@@ -39,7 +39,7 @@ def test_a_channel_that_is_missing_or_too_high_is_refused(channel):
         MAP.write(DATA, 0, channel=channel)
 
 
-def test_a_channel_where_there_is_none_is_refused():
+def test_a_channel_that_does_not_exist_is_refused():
     with pytest.raises(ProtocolError, match="plain: channel 0, but it has no channels"):
         MAP.select(PLAIN, 0)
 

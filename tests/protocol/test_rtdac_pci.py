@@ -173,7 +173,7 @@ def test_alarm_flags_are_unknown_and_say_that_nothing_may_rest_on_them():
     assert ["K1" in flag.meaning for flag in flags] == [True, False, True]
 
 
-def test_other_registers_are_confirmed_but_for_the_nibbles_of_the_channel_counts():
+def test_other_registers_are_confirmed_except_the_nibbles_of_the_channel_counts():
     doubtful = {register.name for register in ABS.registers.values() if register.status is not Status.CONFIRMED}
     assert doubtful == {"pwm_encoder_channels", "alarm_bit0", "alarm_supply", "alarm_bit2"}
 

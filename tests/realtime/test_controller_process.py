@@ -151,7 +151,7 @@ def test_what_is_not_a_number_reaches_the_guard_as_such(law):
         (f"exec({FORGE!r})", "law.py:Law has written into the pipe of its answers"),
     ],
 )
-def test_it_fails_in_words(law, asked, words):
+def test_it_fails_with_an_explanation(law, asked, words):
     _, controller = law(asked=asked)
     assert words in failure(controller)
 

@@ -115,7 +115,7 @@ def test_ticks_come_once_each_and_at_most_a_hundred_a_second(memory, job, loop):
     assert memory.tick_reader().taken == 0
 
 
-def test_the_channel_outlives_the_garbage_collector(memory, job, loop):
+def test_the_channel_survives_the_garbage_collector(memory, job, loop):
     with live_view(memory, job), watching(memory.words[Field.LIVE_PORT]) as viewer:
         loop.reach(viewer)
         for _ in range(5):

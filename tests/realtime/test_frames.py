@@ -68,7 +68,7 @@ def test_the_session_that_is_made_from_memory_has_the_frames_that_the_loop_has_l
     assert not memory.frames.exists()
 
 
-def test_the_session_of_a_killed_loop_has_everything_but_the_frames_and_says_so(ended):
+def test_the_session_of_a_killed_loop_has_everything_except_the_frames_and_names_them(ended):
     memory, job = ended
     part = memory.frames.with_name(f"{memory.frames.name}.part")
     part.write_text('{"format"')
@@ -121,7 +121,7 @@ class TestLeaving:
     def fail(self):
         raise LinkError("gone")
 
-    def test_what_passed_lies_beside_the_ring_in_the_end(self, loop, ended):
+    def test_messages_lie_beside_the_ring_in_the_end(self, loop, ended):
         loop()
         with spooled_frames(*ended)() as (head, records):
             assert (head.board, [record.data for record in records]) == ("usb2", [b"safe"])

@@ -249,7 +249,7 @@ class TestDeath:
         assert unnumbered(run.front_end.written[0]) == SAFE
         assert DRIVING not in run.front_end.written
 
-    def test_a_board_that_the_dead_process_had_open_is_taken_once_the_kernel_lets_go(self, run, child):
+    def test_the_board_of_a_dead_process_is_taken_once_the_kernel_releases_it(self, run, child):
         run.leave_driving()
         host = run.host()
         process = child("sleep", "600", pass_fds=[host.fileno()])
@@ -302,7 +302,7 @@ class TestDeath:
             assert run.words[Field.RESCUED_PID] == 0
         run.until_rescued(process.pid)
 
-    def test_a_process_that_had_let_go_of_the_board_is_not_mistaken_for_one_that_held_it(self, run, child):
+    def test_a_process_that_had_released_the_board_is_not_mistaken_for_one_that_held_it(self, run, child):
         process = child()
         run.hold(process.pid)
         run.words[Field.HOLDER_PID] = 0
@@ -330,7 +330,7 @@ class TestDeath:
         run.until_rescued(process.pid)
         assert run.device.duties == OFF
 
-    def test_a_number_that_no_process_has_any_more_does_not_end_it(self, run, child, ended):
+    def test_a_number_without_a_process_does_not_end_it(self, run, child, ended):
         run.words[Field.GUARDED_PID] = ended
         run.until_polled(5)
         assert run.words[Field.GUARDING_PID] == 0
@@ -358,7 +358,7 @@ class TestDeath:
                 left.append(str(Path(f"/proc/self/fd/{descriptor}").readlink()))
         assert len([each for each in left if "pidfd" in each]) <= 1  # of the second one
 
-    def test_who_watches_it_gives_it_longer_than_it_tries(self):
+    def test_its_watchers_wait_longer_than_it_tries(self):
         assert guardian_module._TRY_S < watch_module._RESCUE_NS * 1e-9
 
     @pytest.mark.untraced

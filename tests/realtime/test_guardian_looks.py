@@ -124,7 +124,7 @@ class TestHang:
     def test_one_that_has_not_ticked_yet_is_given_all_the_time_it_needs(self, scene):
         assert scene.guard().killed_within(10_000) == 10_000
 
-    def test_one_that_does_not_hold_the_board_any_more_may_be_silent(self, scene):
+    def test_a_loop_that_no_longer_holds_the_board_may_be_silent(self, scene):
         scene.guard().tick()
         scene.words[Field.HOLDER_PID] = 0
         assert scene.killed_within(10_000) == 10_000

@@ -100,7 +100,7 @@ def test_one_failed_exchange_too_many_ends_the_run_and_leaves_safe_at_the_device
     assert stack.device.duties == (0.0, 0.0)
 
 
-def test_a_link_that_is_gone_for_good_ends_the_run_and_names_the_emergency_switch(new_stack):
+def test_a_lost_link_ends_the_run_and_names_the_emergency_switch(new_stack):
     stack, over = new_stack(*FEW_MISSES), []
 
     def run():

@@ -113,7 +113,7 @@ def test_it_requires_the_rate_of_a_real_board_and_reports_its_time(process):
 
 
 @pytest.mark.parametrize("wanted", [{"frames": True}, {"wire": "wire.json"}], ids=["frames", "wire"])
-def test_what_was_recorded_of_the_wire_is_kept_with_the_board_let_go_of(process, tmp_path, wanted):
+def test_wire_records_are_kept_when_the_board_is_released(process, tmp_path, wanted):
     wanted = {name: str(tmp_path / value) if name == "wire" else value for name, value in wanted.items()}
     process.job = replace(process.job, **wanted)
     assert process.run() == 0

@@ -58,7 +58,7 @@ def test_a_slice_that_ends_with_the_last_tick_is_over(scripted_loop):
     assert run.loop.run(1)
 
 
-def test_a_stop_word_is_not_set_until_it_is_and_then_for_good():
+def test_a_stop_word_stays_set_once_it_is_set():
     stop = StopFlag()
     assert not stop.requested
     for _ in range(2):

@@ -121,7 +121,7 @@ def test_a_drive_that_does_not_turn_the_road_is_taken_away(bench):
         assert rig.device.duties == OFF
 
 
-def test_who_wants_it_to_end_ends_it_with_outputs_off(bench):
+def test_an_interrupt_ends_it_with_outputs_off(bench):
     with bench() as rig:
         rig.beats(0.3, Command(0.4, 0.0))
         rig.stop.request()

@@ -81,7 +81,7 @@ class TestFile:
             memory.remove()
         assert not list(memory_folder.iterdir())
 
-    def test_who_has_it_open_keeps_it_after_it_was_removed(self, small):
+    def test_a_process_that_has_it_open_keeps_it_after_it_was_removed(self, small):
         memory, other = small
         memory.remove()
         memory.words[Field.STOP] = 7
@@ -174,7 +174,7 @@ class TestFile:
         RunMemory.open(copy).remove()
         assert copy.exists()
 
-    def test_what_lies_beside_it_goes_with_it(self, memory, memory_folder):
+    def test_files_beside_it_are_removed_with_it(self, memory, memory_folder):
         for beside in (memory.socket, memory.frames, memory.frames.with_suffix(".frames.part")):
             beside.touch()
         memory.remove()
@@ -373,7 +373,7 @@ class TestLeftRings:
         assert memory.in_use()
 
     @pytest.mark.parametrize("word", PIDS)
-    def test_a_number_that_another_process_has_by_now_keeps_nothing(self, memory, memory_folder, ended, word):
+    def test_a_process_number_that_was_reused_keeps_nothing(self, memory, memory_folder, ended, word):
         memory.tick_ring(pack).append(1)
         for each in PIDS:
             memory.words[each] = ended

@@ -288,7 +288,7 @@ class TestAlarm:
         assert len(said) == 1
         assert scene.words[Field.ALARMED] == 1
 
-    def test_one_who_cannot_say_it_leaves_it_to_the_next(self, look, said):
+    def test_a_watcher_that_cannot_warn_leaves_the_warning_to_the_next(self, look, said):
         unable = look(0, able=False)
         for _ in range(3):
             unable(500)

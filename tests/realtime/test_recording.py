@@ -173,7 +173,7 @@ class TestRebuild:
         second = rebuild(whole.memory, whole.job, tmp_path / "b.mcap")
         assert first.card["payload_sha256"] == second.card["payload_sha256"]
 
-    def test_what_a_recorder_had_begun_gives_way_and_nothing_else_is_left(self, whole, tmp_path):
+    def test_a_file_that_the_recorder_began_is_replaced_and_nothing_else_is_left(self, whole, tmp_path):
         whole.conclude()
         whole.job.path.write_bytes(b"begun: " + whole.job.session_id.encode())
         (tmp_path / "stop.mcap.part").write_bytes(b"somebody else's")
@@ -230,7 +230,7 @@ class TestWrappedRing:
         assert account.card["lost_ticks"] == 0
         assert replay_session(session, build_pipeline(run.job.config)).differing == 0
 
-    def test_ticks_that_are_nowhere_any_more_are_reported_as_lost(self, crash):
+    def test_ticks_that_exist_nowhere_are_reported_as_lost(self, crash):
         made = crash(200)
         run = made.run
         run.conclude()
@@ -723,7 +723,7 @@ class TestDisk:
         assert "died" not in session.metadata["session"]
 
     @pytest.mark.parametrize("killed", [False, True], ids=["whole", "killed later"])
-    def test_the_second_place_has_everything_also_what_the_ring_has_not_any_more(
+    def test_the_second_folder_has_everything_including_ticks_that_left_the_ring(
         self, new_memory, job_of, child, until, tmp_path, killed
     ):
         (tmp_path / "spill").mkdir()
@@ -759,7 +759,7 @@ def test_a_filled_memory_holds_a_whole_stop(whole):
 
 
 class TestBoardInWords:
-    def test_a_loop_that_let_go_of_its_board_stopped_safely(self, dead):
+    def test_a_loop_that_released_its_board_stopped_safely(self, dead):
         assert describe_board(dead) == "the run was stopped safely"
 
     @pytest.mark.parametrize(

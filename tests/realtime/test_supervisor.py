@@ -57,7 +57,7 @@ class TestRaisedAgain:
         assert again.exit_code == error.exit_code
         assert getattr(again, "__notes__", []) == notes
 
-    def test_no_class_of_errors_is_forgotten_here(self):
+    def test_every_class_of_errors_is_tested_here(self):
         ours = {value for value in vars(errors).values() if isinstance(value, type) and issubclass(value, AbsError)}
         assert ours == {*KINDS, ConfigError}
 
@@ -102,7 +102,7 @@ class TestSnapshot:
         assert supervisor is not None
         assert memory.words[Field.SUPERVISOR_PID] == os.getpid()
 
-    def test_before_the_first_tick_there_is_none(self, supervisor):
+    def test_before_the_first_tick_there_is_no_snapshot(self, supervisor):
         assert supervisor.snapshot() is None
 
     def test_it_has_the_values_of_the_newest_tick(self, supervisor, ring, memory):

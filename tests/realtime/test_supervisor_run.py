@@ -133,7 +133,7 @@ def staged(memory, job_of, child, monkeypatch):
     return made
 
 
-def test_a_run_that_goes_well_drills_lets_go_shows_and_gives_the_recorders_result(staged):
+def test_a_normal_run_drills_releases_shows_and_returns_the_recorders_result(staged):
     assert staged.run(staged.screen) == RESULT
     checks, posted = zip(*staged.screen.seen, strict=True)
     assert checks == (StartCheck.BOARD, StartCheck.GUARDIAN, StartCheck.RECORDER)
@@ -227,7 +227,7 @@ def test_a_recorder_that_dies_while_the_loop_runs_ends_the_run(staged):
 
 
 @pytest.mark.parametrize(("saving", "most_s"), [(0, 2.0), (1, 30.0)])
-def test_a_loop_that_let_go_and_does_not_end_is_killed_in_the_end_but_may_save_first(staged, saving, most_s):
+def test_a_loop_that_released_the_board_and_does_not_end_may_save_and_is_then_killed(staged, saving, most_s):
     def lingers():
         if not staged.ticks.written:
             staged.went_s = staged.now_s

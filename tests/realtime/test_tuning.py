@@ -303,7 +303,7 @@ class TestProcesses:
         assert found["oom"] == prepared["loop_tuning"][1]["oom"]
 
 
-def test_who_spins_on_the_only_cpu_never_keeps_from_it_who_ends_it():
+def test_a_process_that_spins_on_the_only_cpu_can_still_be_ended():
     assert GUARDIAN_PRIORITY > LOOP_PRIORITY > CONTROLLER_PRIORITY
 
 
@@ -312,7 +312,7 @@ def test_who_spins_on_the_only_cpu_never_keeps_from_it_who_ends_it():
 @pytest.mark.parametrize(
     ("tunings", "priority"), [(loop_tuning, LOOP_PRIORITY), (controller_tuning, CONTROLLER_PRIORITY)]
 )
-def test_who_may_not_have_its_watchers_above_it_stays_an_ordinary_process(tunings, priority, allowed, monkeypatch):
+def test_a_process_without_permission_for_its_watchers_priority_stays_ordinary(tunings, priority, allowed, monkeypatch):
     asked, granted = [], os.SCHED_OTHER
 
     def schedule(_pid, policy, param):
@@ -336,7 +336,7 @@ def test_who_may_not_have_its_watchers_above_it_stays_an_ordinary_process(tuning
     "tunings",
     [machine.guardian_tuning, machine.recorder_tuning, machine.supervisor_tuning, machine.watch_tuning],
 )
-def test_who_runs_beside_the_loop_keeps_off_its_core_though_that_is_not_the_last(tunings, monkeypatch):
+def test_processes_beside_the_loop_avoid_its_core_even_if_it_is_not_the_last(tunings, monkeypatch):
     cores = {cpu: machine.Core(3_000_000 if cpu < 2 else 2_000_000, frozenset({cpu, cpu ^ 1})) for cpu in range(4)}
     monkeypatch.setattr(machine, "isolated_cpus", set)
     monkeypatch.setattr(machine, "cores_of", lambda: cores)

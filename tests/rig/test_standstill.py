@@ -108,7 +108,7 @@ def test_drive_of_one_instant_is_held_or_not_by_the_roads_static_friction(parame
 
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])
-def test_road_at_rest_gives_way_to_a_spinning_wheel_unless_held(mask, paper_of, direction):
+def test_a_road_at_rest_is_moved_by_a_spinning_wheel_unless_held(mask, paper_of, direction):
     x1 = direction * 100.0
     normal_n = paper_of(mask).normal_force(x1, 0.0, 0.0)
     contact_nm = normal_n * mask.r2 * paper_of(mask).mu(1.0)

@@ -85,6 +85,6 @@ def test_what_did_not_complete_is_compared_with_nothing(folder):
     assert first["outcome"] == "completed"
 
 
-def test_a_session_that_is_not_there_has_none_before_it(folder):
+def test_a_missing_session_has_no_previous_one(folder):
     card = folder.stop()
     assert previous_card(card | {"session": str(folder.path / "nowhere" / "1.mcap")}) is None

@@ -58,7 +58,7 @@ def test_a_cut_file_is_read_and_judged_by_what_it_has(folder, quick, before_its_
     assert (started["outcome"], started["controller"], started["ticks"]) == ("incomplete", "reaching-law", 0)
 
 
-def test_what_a_cut_session_was_worth_is_computed(altered, quick, container):
+def test_the_card_of_a_cut_session_is_computed(altered, quick, container):
     records = container.split(quick.path.read_bytes())
     last = max(at for at, record in enumerate(records) if record.opcode == 6)
     row = session_row(altered(container.magic + b"".join(map(bytes, records[: last + 1]))))
@@ -120,7 +120,7 @@ def test_nested_folders_are_listed_on_request(folder, short):
     assert set(rows_of(path, nested=True)) == {"top.mcap", "below.mcap"}
 
 
-def test_a_folder_that_is_none_is_refused(tmp_path):
+def test_a_path_that_is_not_a_folder_is_refused(tmp_path):
     with pytest.raises(SessionError, match="cannot be listed: No such file"):
         session_files(tmp_path / "nowhere")
 

@@ -79,7 +79,7 @@ def test_metadata_is_compared_in_its_section(quick, changed, section, record, ke
 
 
 @pytest.mark.parametrize("key", ["session_id", "started_utc", "ended_utc"])
-def test_what_differs_of_every_two_runs_is_not_told(quick, changed, key):
+def test_what_differs_in_any_two_runs_is_not_listed(quick, changed, key):
     assert diff_sessions(quick.session, changed({"session": {key: "another"}, "software": {"argv": "x"}})).equal
 
 
@@ -110,7 +110,7 @@ def test_an_earlier_start_of_braking_changes_no_signal(quick, changed):
     assert diff_sessions(quick.session, changed(ticks=later, truth=later), ("signals",)).equal
 
 
-def test_a_number_that_is_none_in_one_is_counted(quick, changed):
+def test_a_number_that_is_nan_in_one_session_is_counted(quick, changed):
     def spoil(ticks):
         ticks["torque_demand_nm"][-20:-10] = np.nan
 

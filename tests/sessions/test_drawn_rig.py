@@ -88,7 +88,7 @@ def test_a_rig_in_real_time_is_the_same_rig(tmp_path, run_at, replayed):
 
 
 @pytest.mark.parametrize("virtual", [True, False])
-def test_a_rig_that_is_none_leaves_no_file(tmp_path, run_at, virtual):
+def test_an_unknown_rig_leaves_no_file(tmp_path, run_at, virtual):
     with pytest.raises(ConfigError, match="did you mean hard"):
         run_at(tmp_path / "stop.mcap", (*PACED, "simulation.rig=hrd:1"), virtual=virtual)
     assert not list(tmp_path.iterdir())

@@ -56,7 +56,7 @@ def test_changes_are_cut_where_they_are_too_many_and_it_is_said(tree):
     assert uncommitted_changes(tree, len(whole)) == (whole, False)
 
 
-def test_somebody_elses_repository_around_the_package_is_none_of_ours(tree):
+def test_a_foreign_repository_around_the_package_is_ignored(tree):
     folder = tree / "site-packages"
     folder.mkdir()
     (folder / "__init__.py").write_text("")

@@ -257,9 +257,7 @@ def test_a_run_that_no_disk_takes_is_recovered_from_memory(run, quick, vanishing
     assert not ring.exists()
 
 
-def test_a_run_that_was_broken_off_and_that_no_disk_takes_says_so_when_it_is_recovered(
-    run, vanishing, monkeypatch, tmp_path
-):
+def test_an_aborted_run_without_a_disk_is_aborted_when_it_is_recovered(run, vanishing, monkeypatch, tmp_path):
     (tmp_path / "memory").mkdir()
     monkeypatch.setattr(memory, "FOLDER", tmp_path / "memory")
 

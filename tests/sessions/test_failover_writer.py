@@ -145,7 +145,7 @@ def test_frames_that_were_not_kept_are_reported_beside_what_the_disk_has_refused
 
 
 @pytest.mark.parametrize("at", range(SLICES))
-def test_when_the_folder_vanishes_the_whole_session_is_in_the_second_place(kept, replayed, at):
+def test_when_the_folder_vanishes_the_whole_session_is_in_the_second_folder(kept, replayed, at):
     run = kept().introduce()
     run.tell(before=lambda number: run.vanish() if number == at else None)
     account = run.conclude()
@@ -191,7 +191,7 @@ def test_a_disk_that_refuses_once_has_the_whole_session_in_the_end(kept, room, a
     assert {path.name for path in run.out.parent.iterdir()} == {"stop.mcap"}
 
 
-def test_ticks_that_come_just_as_the_disk_refuses_are_not_forgotten(tmp_path, chunked, room):
+def test_ticks_that_come_just_as_the_disk_refuses_are_kept(tmp_path, chunked, room):
     run = Kept(tmp_path, chunked, spill=False).introduce()
     room(run.out.stat().st_size)
     run.add(len(run.payload) // TICK.size)  # more than a chunk: some of it goes to the disk at once
@@ -223,7 +223,7 @@ def test_a_second_place_that_refuses_too_is_named(kept):
         run.conclude()
 
 
-def test_a_second_place_that_vanishes_too_gives_way_to_the_first_if_that_is_back(kept):
+def test_if_the_second_folder_vanishes_too_the_first_is_used_again_once_it_is_back(kept):
     run = kept().introduce()
 
     def before(number):
@@ -265,7 +265,7 @@ def test_a_disk_that_refuses_before_the_run_refuses_the_run_and_leaves_no_file(k
     assert not run.spill.exists()
 
 
-def test_warnings_are_in_the_log_of_whichever_file_it_comes_to(kept):
+def test_warnings_are_in_the_log_of_the_file_that_is_used_last(kept):
     run = kept().introduce()
     run.keeper.warn(10**18 + 5, "the disk is slow")
     run.tell(before=lambda number: run.vanish() if number == 2 else None)

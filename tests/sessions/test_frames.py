@@ -226,7 +226,7 @@ class TestDamage:
             ({"start_ns": "0"}, b"\x09" + bytes(8) + b"\x10\x01\x18\x01"),
         ],
     )
-    def test_frames_that_are_none_are_refused_in_one_sentence(self, tmp_path, facts, message):
+    def test_invalid_frames_are_refused_in_one_sentence(self, tmp_path, facts, message):
         with FileWriter(tmp_path / "x.mcap", 0) as recorder:
             head = {"board": "usb2", "recorded_by": "", "clock": ""} if facts else {}
             recorder.frames({**head, **facts}, [(0, message)])

@@ -154,7 +154,7 @@ def test_a_chunk_whose_ticks_do_not_follow_one_another_is_refused(
     assert any("repeats earlier" in loss for loss in recovery.losses) is not kept
 
 
-def test_of_a_whole_session_nothing_is_said_to_be_lost(rescue, short):
+def test_a_complete_session_reports_no_loss(rescue, short):
     recovery, _ = rescue(short.read_bytes())
     assert recovery.losses == ()
     assert recovery.card["explanation"] == "recovered from altered.mcap"

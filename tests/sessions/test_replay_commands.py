@@ -84,7 +84,7 @@ def test_replay_reports_what_comes_early_and_how_long_all_agreed(command, quick,
     assert "1 within their tolerance" in printed
 
 
-def test_replay_with_tolerances_that_are_none_ends_with_2(command, quick):
+def test_replay_with_invalid_tolerances_ends_with_2(command, quick):
     code, _, said = command("replay", quick.path, "--tol", "brke=1", "--tol", "slip")
     assert code == 2
     assert "did you mean brake" in said

@@ -159,7 +159,7 @@ def test_estimated_and_true_slip_are_judged_apart_in_the_same_window(config):
     assert card["slip_rms_true"] == pytest.approx(rms((200, 0.125), (100, 0.0625)))
 
 
-def test_without_a_truth_the_estimate_decides_and_what_is_true_is_none(config):
+def test_without_a_truth_the_estimate_decides_and_true_metrics_are_none(config):
     card = MadeUp(WINDOW, SPEEDS).card(config, real_rig=True)
     assert card["slip_rms_estimated"] == pytest.approx(rms((200, 0.125), (100, 0.0625)))
     assert card["band_entry_s"] == pytest.approx(seconds(ENTRY), abs=EXACT)

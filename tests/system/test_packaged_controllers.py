@@ -249,7 +249,7 @@ def test_a_broken_one_is_refused_with_its_reason(here, source, words):
     assert words in problem
 
 
-def test_a_broken_one_is_listed_as_broken_and_hinders_no_other(inteco_abs, site):
+def test_a_broken_package_is_listed_as_broken_and_others_still_work(inteco_abs, site):
     site.install()
     site.install("abs-broken", "0.1", ["broken = broken_law:Law", "worse = 7"], broken_law="import no_such_module\n")
     found = json.loads(inteco_abs("controllers", "--json", check=0, environment=site.environment).stdout)

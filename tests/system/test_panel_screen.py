@@ -144,7 +144,7 @@ def test_leaving_takes_the_power_away_first(stage, key, code):
     assert scene.words[Field.KEY_SEEN_NS] == -HELD_NS
 
 
-def test_who_only_watches_can_hold_what_he_will(stage):
+def test_a_read_only_panel_ignores_the_space_bar(stage):
     scene = stage(outputs=False, because="the panel only watches")
 
     async def play(pilot):

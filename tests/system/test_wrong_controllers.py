@@ -93,7 +93,7 @@ def never_ends():
         pass
 
 
-def test_an_alarm_while_the_limit_ends_does_not_outlive_it(monkeypatch):
+def test_an_alarm_while_the_limit_ends_does_not_remain_after_it(monkeypatch):
     monkeypatch.setattr("inteco_abs.experiment.user_code.LOADING_MOST_S", 1e-3)
     monkeypatch.setattr("inteco_abs.experiment.user_code._AGAIN_S", 1e-3)
     for _ in range(100):
@@ -102,7 +102,7 @@ def test_an_alarm_while_the_limit_ends_does_not_outlive_it(monkeypatch):
         assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
 
 
-def test_an_alarm_that_the_end_of_the_limit_was_kept_from_switching_off_is_harmless(monkeypatch):
+def test_an_alarm_that_the_limits_end_could_not_switch_off_is_harmless(monkeypatch):
     monkeypatch.setattr("inteco_abs.experiment.user_code.LOADING_MOST_S", 0.01)
 
     def interrupted():

@@ -120,7 +120,7 @@ def test_wrong_usage_gets_one_clear_answer(answers, row):
 
 @pytest.mark.untraced
 @pytest.mark.parametrize("name", ["nearly a verb", "a decimal comma", "questions without answers"])
-def test_the_installed_command_answers_and_ends_likewise(inteco_abs, answers, name):
+def test_the_installed_command_answers_and_ends_the_same_way(inteco_abs, answers, name):
     (row,) = (row for row in ROWS if row.name == name)
     run, here = inteco_abs(*row.command.split()), answers.to(row)
     assert (run.returncode, run.stdout, run.stderr) == (here.returncode, here.stdout, here.stderr)

@@ -189,7 +189,7 @@ class TestDuring:
         lines = Shown().picture(BRAKED._replace(drive=duty, brake=0.0))
         assert line_with(lines, " drive ", " brake ").count("█") == filled
 
-    def test_a_brake_at_its_limit_is_said_in_words(self):
+    def test_a_brake_at_its_limit_is_described(self):
         assert "0.44 of 0.7" in line_with(Shown().picture(BRAKED), " drive ", " brake ")
         assert "0.70 limit" in line_with(Shown().picture(BRAKED._replace(brake=0.7)), " drive ", " brake ")
 
@@ -215,7 +215,7 @@ class TestDuring:
         ("changes", "text"),
         [({"overruns": 1}, "1 period missed!"), ({"late_us": (1.0, 1.0, 1.0, 500.4)}, "max 500 us!")],
     )
-    def test_what_went_wrong_is_red_and_marked_and_only_then(self, changes, text):
+    def test_only_errors_are_red_and_marked(self, changes, text):
         shown = Shown()
         assert re.search(rf"\x1b\[1;31m{text}", shown.raw(BRAKED._replace(**changes)))
         assert not RED.search(Shown().raw(BRAKED))

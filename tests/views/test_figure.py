@@ -270,7 +270,7 @@ def test_sessions_differ_in_grey_too(session, others, drawn):
     assert len(looks) == 3
 
 
-def test_what_one_session_does_not_know_is_shown_of_none(session, others, drawn):
+def test_a_curve_that_one_session_lacks_is_shown_for_none(session, others, drawn):
     real = replace(others[0], truth=others[0].truth[:0])
     _, slip, torque = drawn(session, real).axes
     assert (slip.get_ylabel(), torque.get_ylabel()) == ("slip, estimated [1]", "brake torque, asked [N m]")
@@ -311,7 +311,7 @@ class TestVerb:
     def test_no_session_is_usage(self, verb):
         assert verb("figure", "-o", "x.png").code == 2
 
-    def test_a_session_that_was_cut_is_drawn_and_told(self, verb, session, tmp_path):
+    def test_a_session_that_was_cut_is_drawn_and_reported(self, verb, session, tmp_path):
         (tmp_path / "cut.mcap").write_bytes(session.path.read_bytes()[:-300])
         done = verb("figure", "cut.mcap", "-o", "x.png")
         assert done.code == 3

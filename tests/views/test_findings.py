@@ -26,7 +26,7 @@ def lines_of(renderable, **options):
     return [line.strip() for line in text_of(renderable, **options).splitlines() if line.strip()]
 
 
-def test_every_finding_has_its_verdict_in_words_and_its_fix_beneath():
+def test_every_finding_has_its_verdict_as_text_and_its_fix_below():
     assert lines_of(render_findings(FINDINGS)) == [
         "clock source   green  tsc",
         "board          amber  no [red]board[/red]",

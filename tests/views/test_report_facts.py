@@ -73,7 +73,7 @@ class TestTables:
 
 
 class TestWarnings:
-    def test_none_for_a_stop_that_went_well(self, clean):
+    def test_a_normal_stop_has_no_warnings(self, clean):
         assert warnings_of(clean) == []
 
     def test_how_and_why_the_guard_ended_it(self, faulty, told):
@@ -132,7 +132,7 @@ class TestWarnings:
         assert found[0].startswith("Outcome: recovered: recovered from cut.mcap")
         assert not any(words.startswith("Recovered, with losses") for words in found)
 
-    def test_losses_that_the_card_does_not_tell(self, clean, told):
+    def test_losses_that_the_card_lacks(self, clean, told):
         assert "Recovered, with losses: a tick." in warnings_of(told(clean, "recovery", lost="a tick"))
 
     def test_no_braking_and_no_ticks(self, clean):
@@ -171,7 +171,7 @@ class TestCommands:
         (line,) = replay_commands(odd)
         assert shlex.split(line) == ["inteco-abs", "replay", str(odd.path)]
 
-    def test_none_where_configuration_board_or_ticks_are_missing(self, session, told):
+    def test_no_commands_without_configuration_board_or_ticks(self, session, told):
         bare = replace(session, attachments={})
         assert replay_commands(bare) == repeat_commands(bare) == []
         assert replay_commands(without_ticks(session)) == []

@@ -189,7 +189,7 @@ class TestComparison:
         text = text_of(CARD, before={**CARD, "session": "before.mcap", **earlier})
         return {label: text.removeprefix(LINES[label]).strip() for label, text in values_in(text).items()}
 
-    def test_less_is_better_and_more_is_worse_in_words_too(self):
+    def test_less_is_better_and_more_is_worse_as_text_too(self):
         changes = self.changes(stop_time_s=1.5, slip_rms_true=0.008, lock_fraction=0.1825)
         assert changes["stop time"] == "▼ -0.101 better"
         assert changes["slip RMS, true"] == "▲ +0.0011 worse"

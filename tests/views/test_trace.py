@@ -41,7 +41,7 @@ def test_traces_are_of_braking_and_of_what_comes_after_until_the_brake_is_off(tr
     assert set(slip) == {0.1}
 
 
-def test_it_is_the_same_whether_told_at_once_or_bit_by_bit(trace):
+def test_it_is_the_same_whether_ticks_are_added_at_once_or_bit_by_bit(trace):
     other = RunTrace(180.0)
     trace.add(points(PHASES))
     for point in points(PHASES):
