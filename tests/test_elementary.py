@@ -189,7 +189,7 @@ EDGES = [
 
 @pytest.mark.parametrize(("function", "arguments", "result"), EDGES)
 def test_limits_and_what_is_undefined(function, arguments, result):
-    assert function(*arguments).hex() == result.hex()  # which tells -0.0 from 0.0
+    assert function(*arguments).hex() == result.hex()  # which distinguishes -0.0 from 0.0
 
 
 def test_a_whole_power_is_a_product():

@@ -69,7 +69,7 @@ class _Handle:
 
 
 class BusBackend(IBackend):
-    """`wait(event, timeout_s)` tells whether the event came in time; a clock's own makes time-outs virtual."""
+    """`wait(event, timeout_s)` returns whether the event came in time; a clock's own makes time-outs virtual."""
 
     def __init__(self, bus, wait=really_wait):
         super().__init__()

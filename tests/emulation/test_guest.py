@@ -117,7 +117,7 @@ def assert_it_replays(stop, results):
     assert (again.ticks, again.differing) == (stop["card"]["ticks"], 0)
 
 
-def told(kind, report):
+def figures_of(kind, report):
     """What is printed after the tests."""
     stop, card, rate_hz = report["stop"], report["stop"]["card"], report["stop"]["rate_hz"]
     turning = stop["turning"]
@@ -166,7 +166,7 @@ class TestUsb2:
             assert (device["group"], device["mode"], device["power_control"]) == ("dialout", "0660", "on")
 
     def test_a_braking_stop_is_complete(self, usb2, kind, record_property):
-        record_property("figures", told(kind, usb2.report))
+        record_property("figures", figures_of(kind, usb2.report))
         assert_it_stopped(usb2.report["stop"])
 
     def test_the_stop_replays(self, usb2):
@@ -198,7 +198,7 @@ class TestFtdi:
         assert 1_000 < ftdi.report["reading_us"]["1"] < 3_000
 
     def test_a_braking_stop_is_complete(self, ftdi, kind, record_property):
-        record_property("figures", told(kind, ftdi.report))
+        record_property("figures", figures_of(kind, ftdi.report))
         assert_it_stopped(ftdi.report["stop"])
 
     def test_the_stop_replays(self, ftdi):
@@ -212,9 +212,9 @@ class TestPci:
     """The driver of the RT-DAC4/PCI on a real kernel's resource files. What answers there is not the board."""
 
     def test_registers_that_are_switched_off_are_refused_with_what_to_do(self, pci):
-        for told in pci.report["off"].values():
-            assert "is switched off: echo 1 | sudo tee" in told
-            assert "doctor --rules" in told
+        for message in pci.report["off"].values():
+            assert "is switched off: echo 1 | sudo tee" in message
+            assert "doctor --rules" in message
 
     def test_the_udev_rule_switches_them_on_and_opens_them_to_the_group(self, pci):
         for what, flag in (("memory", _MEMORY), ("ports", _IO)):
@@ -228,8 +228,8 @@ class TestPci:
         assert pci.report["mask"] == 0x5A
 
     def test_any_other_user_is_referred_to_the_rules(self, pci):
-        for told in pci.report["stranger"].values():
-            assert "resource2 cannot be opened: no permission: inteco-abs doctor --rules" in told
+        for message in pci.report["stranger"].values():
+            assert "resource2 cannot be opened: no permission: inteco-abs doctor --rules" in message
 
     def test_of_two_boards_one_must_be_named(self, pci):
         assert "2 RT-DAC4/PCI boards: name one" in pci.report["which"]

@@ -17,7 +17,13 @@ from inteco_abs.wire.capture import read_capture
 
 COMMAND = Path(sysconfig.get_path("scripts")) / "inteco-abs"
 WORDS = ("--yes-read-only", "--draft", "lab.toml", "--json")
-TOLD = {"idVendor": "04b4", "idProduct": "8613", "manufacturer": "InTeCo", "product": "RT-DAC/USB2", "serial": "77"}
+DESCRIPTION = {
+    "idVendor": "04b4",
+    "idProduct": "8613",
+    "manufacturer": "InTeCo",
+    "product": "RT-DAC/USB2",
+    "serial": "77",
+}
 
 
 @pytest.mark.untraced
@@ -26,7 +32,7 @@ TOLD = {"idVendor": "04b4", "idProduct": "8613", "manufacturer": "InTeCo", "prod
 def test_a_board_on_the_bus_is_listed_read_and_timed_and_nothing_is_written_to_it(tmp_path):
     host = new_host(UsbSpeed.HIGH, drill=False)
     tree = UsbfsTree(host)
-    for name, text in TOLD.items():
+    for name, text in DESCRIPTION.items():
         (tree.path / "sys/devices/usb1/1-1" / name).write_text(f"{text}\n")
     environment = {key: value for key, value in os.environ.items() if not key.startswith("COV")}
 

@@ -96,10 +96,10 @@ def test_a_stop_completes_from_tick_0_on_and_the_session_says_how_quick_the_engi
     assert card["outcome"] == "completed"
     assert session.ticks["tick"][0] == 0
     assert board.jtag_transfers == 0
-    told = session.metadata["realtime"]
-    assert told["engine"] in {"queued", "one-by-one"}
-    assert "p99" in told["exchanges"]
-    assert ("exchanges, queued" in told) is (engine == "faster")
+    facts = session.metadata["realtime"]
+    assert facts["engine"] in {"queued", "one-by-one"}
+    assert "p99" in facts["exchanges"]
+    assert ("exchanges, queued" in facts) is (engine == "faster")
     checked = subprocess.run(
         [COMMAND, "validate", session.path], env=UNTRACED, capture_output=True, text=True, check=False
     )

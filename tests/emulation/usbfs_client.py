@@ -128,7 +128,7 @@ def main(task, packet_bytes, round_trips="200"):
     for name, check in TASKS[task].items():
         try:
             check(bench)
-        except Exception:  # noqa: BLE001 - told to the test
+        except Exception:  # noqa: BLE001 - the test reports it
             results[name] = traceback.format_exc()
         else:
             results[name] = None

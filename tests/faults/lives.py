@@ -35,9 +35,9 @@ SIGNALS = {
     "SIGINT twice": (signal.SIGINT, signal.SIGINT),
 }
 TOP = ("cli/__init__.py", "cli/command.py")
-"""Always struck, as nobody is above them."""
+"""Always struck, as no handler is above them."""
 DEADLY = (signal.SIGTERM, signal.SIGHUP)
-"""Where nobody listens to them."""
+"""Where no handler receives them."""
 
 
 class Died(BaseException):
@@ -112,7 +112,7 @@ class Lives:
                 life.code = int(end.code or 0)
             except Died:
                 pass
-            except BaseException as error:  # noqa: BLE001  whatever leaves is judged
+            except BaseException as error:  # noqa: BLE001  every exception is judged
                 life.escaped = error
             else:
                 raise AssertionError("the command returned")

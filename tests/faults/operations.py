@@ -120,7 +120,7 @@ def file_class(requests: Requests) -> type[FileIO]:
 
         def close(self):
             open_still = not self.closed
-            super().close()  # Linux lets go of a file whatever it says of closing it
+            super().close()  # Linux releases a file even if close() fails
             if open_still:
                 requests.ask("close")
 

@@ -6,7 +6,7 @@ The functions of `realtime.failure_rules` decide what guardian and supervisor do
 are the code's. Time is counted in polls of 25 ms: in each of them every process that can acts once, in any
 order.
 
-A frozen recorder is as good as a healthy one here: nobody's safety waits for it.
+A frozen recorder is as good as a healthy one here: no process needs it to be safe.
 """
 
 from collections import deque
@@ -37,7 +37,7 @@ class Seen(NamedTuple):
     supervisor: str
     recorder: str
     holds: bool
-    """Whether the loop holds the board, and nobody has taken it since."""
+    """Whether the loop holds the board, and no process has taken it over."""
     stop: bool
     """Whether anybody wants the run to end."""
     output: bool
@@ -51,7 +51,7 @@ class Rules(NamedTuple):
     guardian_takes_over: bool = True
     guardian_kills_a_silent_loop: bool = True
     guardian_counts_its_own_time: bool = True
-    """A pause of the whole computer is nobody's silence."""
+    """A pause of the whole computer is not a process's silence."""
     guardian_watches_the_others: bool = True
     loop_watches_the_guardian: bool = True
     loop_waits_for_the_guardian: bool = True
@@ -90,7 +90,7 @@ class State(NamedTuple):
     """Who has acted in this poll."""
     strikes: int = 0
     on_since: int = 0
-    """Polls with the output on since somebody was last struck, or goes on again."""
+    """Polls with the output on since a process was last struck, or continued."""
     healthy_killed: bool = False
     two_hosts: bool = False
 
@@ -145,7 +145,7 @@ def _next_poll(state: State) -> State:
 
 
 def _computer_stands_still(state: State, rules: Rules) -> State:
-    """Everybody for longer than any window: nobody looks, so nobody counts."""
+    """All processes for longer than any window: none looks, so none counts."""
     return state if rules.guardian_counts_its_own_time else state._replace(loop_seen=LOOP_WINDOW + 1)
 
 
@@ -291,7 +291,7 @@ def violation(state: State, bound: int) -> str:
     if state.on_since > bound and not helpless:
         return f"the output stayed on: {state}"
     if state.output and not state.holds:
-        return f"nobody holds a board whose output is on: {state}"
+        return f"no process holds a board whose output is on: {state}"
     return ""
 
 

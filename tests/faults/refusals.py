@@ -93,7 +93,7 @@ class Place:
                 patch.setattr(inteco_abs.experiment.virtual_run, "TickRing", remembered(TickRing, rings))
                 try:
                     run.result = work()
-                except BaseException as error:  # noqa: BLE001  whatever leaves is judged
+                except BaseException as error:  # noqa: BLE001  every exception is judged
                     run.error = error
         decided = rings[0].written * TICK.size if rings else None  # the other one has the rig's states
         run.expected = self.whole[:decided] if scene != CUT else bytes(read_session(self.spill / "cut.mcap").payload)
@@ -195,7 +195,7 @@ def problems(place: Place, run: Run) -> Iterator[str]:
         yield "ticks that never were"
     if run.expected and run.expected not in found and "The run is lost" not in str(error):
         most = max(map(len, found), default=0) // TICK.size
-        yield f"of {len(run.expected) // TICK.size} ticks {most} are there, and nobody was told: {error!r}"
+        yield f"of {len(run.expected) // TICK.size} ticks {most} are there, and no warning was given: {error!r}"
 
 
 def made_whole(run: Run) -> bool:

@@ -55,7 +55,7 @@ class Ride:
 
     @property
     def unsafe(self) -> bool:
-        """Whether the user was told that motor power may still be on."""
+        """Whether the user was warned that motor power may still be on."""
         return isinstance(self.refused, UnsafeError)
 
     @property

@@ -1,7 +1,7 @@
 """The decision path, enumerated: every state that it can reach from power-up, with every event in each of them.
 
 The real pipeline at its slowest rate, in which windows and times are a handful of ticks long. Two states are one if no
-later input can tell them apart: times and counts are taken relative to the newest sample.
+later input can distinguish them: times and counts are taken relative to the newest sample.
 """
 
 from collections import Counter, deque
@@ -73,7 +73,7 @@ def moved(state, event):
 
 
 def key(state):
-    """What later inputs could tell: everything that changes, relative to now."""
+    """What later inputs could distinguish: everything that changes, relative to now."""
     return state.pipeline.command, *_relative(state.pipeline, state.sample, 0)
 
 

@@ -103,7 +103,7 @@ class Host(Link):
 class BoardMachine(RuleBasedStateMachine):
     """A device with a record of its own, its cable, and one program after the other."""
 
-    steps = opened = told = good = stale = 0
+    steps = opened = warned = good = stale = 0
     profile = "sim_usb2"
 
     @initialize(seed=st.integers(0, 3))
@@ -174,7 +174,7 @@ class BoardMachine(RuleBasedStateMachine):
             # a message for each channel, of which one may have arrived
             drives, brakes = ({*channel, 0.0} for channel in zip(*self.possible, strict=True))
             self.possible = list(itertools.product(drives, brakes))
-            type(self).told += 1
+            type(self).warned += 1
         else:
             assert self.device.duties == OFF
             self.possible = [OFF]
@@ -253,7 +253,7 @@ class BoardMachine(RuleBasedStateMachine):
 
     def _was_reported(self):
         """That power may still be on: then it may."""
-        type(self).told += 1
+        type(self).warned += 1
         self._as_it_is()
 
     def _as_it_is(self):
@@ -275,6 +275,8 @@ def test_in_any_order_of_use_and_loss_a_board_is_left_safe_or_the_user_is_warned
     machine = type("Machine", (BoardMachine,), {"profile": profile})
     run_state_machine_as_test(machine, settings=FEW)
     exchanges = f"{machine.good} good and {machine.stale} failed exchanges"
-    told = f"{machine.told} times told that power may still be on"
-    record_property("figures", f"{profile}: {machine.steps} steps, opened {machine.opened} times, {exchanges}, {told}")
-    assert min(machine.good, machine.stale, machine.told) > 0
+    warned = f"{machine.warned} warnings that power may still be on"
+    record_property(
+        "figures", f"{profile}: {machine.steps} steps, opened {machine.opened} times, {exchanges}, {warned}"
+    )
+    assert min(machine.good, machine.stale, machine.warned) > 0

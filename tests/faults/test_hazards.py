@@ -14,7 +14,7 @@ from inteco_abs.signals import Reason
 ROOT = Path(__file__).parents[2]
 HAZARDS = tomllib.loads((ROOT / "tests/faults/hazards.toml").read_text(encoding="utf-8"))["hazard"]
 INJECTIONS = [(row["number"], each) for row in HAZARDS for each in row.get("inject", ())]
-EXPLAINED = {"completes", "told", *(reason.name for reason in Reason)}
+EXPLAINED = {"completes", "warned", *(reason.name for reason in Reason)}
 
 
 def test_the_hazards_are_numbered_through():
@@ -40,14 +40,14 @@ def test_an_injection_can_be_parsed_and_ends_in_a_known_way(number, injection):
         for at in injection["at"]:
             parse_fault(f"{kind}@{at}{lasts}")
     harmless = injection["ends"] == ["completes"] or "BRAKING_TIMEOUT" in injection["ends"]
-    assert harmless or {"bound_ms", "told_ms"} & set(injection), "nothing would be demanded of it"
+    assert harmless or {"bound_ms", "warned_ms"} & set(injection), "nothing would be demanded of it"
 
 
 def test_every_reason_that_takes_outputs_away_is_a_hazards_end():
     met = {end for _, each in INJECTIONS for end in each["ends"]}
     elsewhere = {"NONE", "OPERATOR_STOP", "BAD_OUTPUT", "CONTROLLER_ERROR", "GUARDIAN_LOST",
                  "SUPERVISOR_LOST", "RECORDER_LOST"}  # fmt: skip
-    assert met - {"completes", "told"} | elsewhere == {reason.name for reason in Reason}
+    assert met - {"completes", "warned"} | elsewhere == {reason.name for reason in Reason}
 
 
 def test_a_fault_on_the_page_can_be_typed_as_it_stands_there():

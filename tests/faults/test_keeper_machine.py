@@ -1,4 +1,4 @@
-"""A session that is kept while disks fill up, vanish and come back, and the program dies: in whichever order."""
+"""A session is kept while disks fill up, vanish and come back, and the program dies, in any order."""
 
 import errno
 import os
@@ -63,7 +63,7 @@ class Full(FileIO):
 
 
 class Keeping(RuleBasedStateMachine):
-    """A keeper, its two disks, and what it was told."""
+    """A fail-over writer, its two disks, and the ticks that were added."""
 
     steps = recoveries = 0
 
@@ -73,7 +73,7 @@ class Keeping(RuleBasedStateMachine):
         self.places = {name: self.folder / name / "stop.mcap" for name in ("out", "spill")}
         for path in self.places.values():
             path.parent.mkdir()
-        self.told = self.truths = b""
+        self.given = self.truths = b""
         self.released = 0
         self.flushed = {}
         """What each file has for sure."""
@@ -87,33 +87,33 @@ class Keeping(RuleBasedStateMachine):
 
     @property
     def left(self):
-        return len(stop()[0]) - len(self.told)
+        return len(stop()[0]) - len(self.given)
 
     @precondition(lambda self: self.left)
     @rule(ticks=st.integers(1, 30))
     def add(self, ticks):
-        at = len(self.told)
+        at = len(self.given)
         more = stop()[0][at : at + ticks * TICK.size]
         truths = stop()[1] if not at else b""
-        self.told += more
+        self.given += more
         self.truths = self.truths or truths
         self.keeper.add(more, truths)
 
     def held(self):
         """As a ring: what is in no file for sure."""
-        yield self.told[self.released :], b"" if self.released else self.truths
+        yield self.given[self.released :], b"" if self.released else self.truths
 
     @rule(killed=st.booleans())
     def flush(self, killed):
         self.keeper.flush()
         if self.keeper.writing:
-            self.flushed[self.keeper.path] = self.released = len(self.told)
+            self.flushed[self.keeper.path] = self.released = len(self.given)
             if killed:
                 self.recover_what_a_kill_would_leave_now(self.keeper.path.parent.name)
 
     @rule()
     def warn(self):
-        self.keeper.warn(10**18 + len(self.told), "the disk is slow")
+        self.keeper.warn(10**18 + len(self.given), "the disk is slow")
 
     @rule(name=st.sampled_from(["out", "spill"]))
     def vanish(self, name):
@@ -146,7 +146,7 @@ class Keeping(RuleBasedStateMachine):
             payload = recovered(left, again)
         finally:
             Full.folders = full
-        assert self.told.startswith(payload), "a tick that never was"
+        assert self.given.startswith(payload), "a tick that never was"
         assert len(payload) >= self.flushed.get(file, 0), "a flushed tick is gone"
         type(self).recoveries += 1
 
@@ -154,7 +154,7 @@ class Keeping(RuleBasedStateMachine):
     def nothing_is_forgotten(self):
         type(self).steps += 1
         if self.keeper is not None:
-            assert self.keeper.ticks == len(self.told) // TICK.size
+            assert self.keeper.ticks == len(self.given) // TICK.size
 
     def teardown(self):
         try:
@@ -169,11 +169,11 @@ class Keeping(RuleBasedStateMachine):
             try:
                 account = self.keeper.finish(RunEnd(Reason.NONE, self.keeper.ticks))
             except SessionError:
-                assert b"".join(ticks for ticks, _ in self.keeper.rows()) == self.told
+                assert b"".join(ticks for ticks, _ in self.keeper.rows()) == self.given
             else:
                 session = read_session(Path(account.card["session"]))
                 assert not session.incomplete
-                assert bytes(session.payload) == self.told
+                assert bytes(session.payload) == self.given
         assert not list(self.folder.rglob("*.part"))
 
 

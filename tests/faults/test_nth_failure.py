@@ -23,11 +23,11 @@ def place():
 def test_with_any_refusal_outputs_are_off_and_no_tick_is_lost_without_a_report(place, record_property, scene, ways):
     """Every request, in one of the ways, by turns, or in all of them."""
     kinds, runs, bad = refuse(place, scene, ways)
-    told(record_property, scene, kinds, runs, bad)
+    record_counts(record_property, scene, kinds, runs, bad)
     assert not bad, "\n".join(bad)
 
 
-def told(record_property, scene: str, kinds: Counter[str], runs: int, bad: list[str]) -> None:
+def record_counts(record_property, scene: str, kinds: Counter[str], runs: int, bad: list[str]) -> None:
     counted = ", ".join(f"{number} {kind}" for kind, number in sorted(kinds.items()))
     record_property("figures", f"{scene}: {counted}; {runs} runs with requests refused, violations: {len(bad)}")
 
@@ -46,7 +46,7 @@ def test_a_git_that_cannot_be_started_keeps_no_run_from_its_end(place, record_pr
         bad += [f"{refusal}: {problem}" for problem in problems(place, run)]
         bad += [f"{refusal}: {run.error!r}"] if run.error else []
     cached.cache_clear()
-    told(record_property, "git", Counter(process=len(starts)), 2 * len(starts), bad)
+    record_counts(record_property, "git", Counter(process=len(starts)), 2 * len(starts), bad)
     assert starts
     assert not bad, "\n".join(bad)
 

@@ -146,7 +146,7 @@ class PanelMachine(RuleBasedStateMachine):
             try:
                 self.over = not self.bench.beat()
             except UnsafeError:
-                self.over = True  # the person is told of the switch, and asked nothing more
+                self.over = True  # the panel names the emergency switch and ends
             type(self).beats += 1
             self.panel.see(self.bench.side.ticks())
             self.tripped = self.tripped or self.panel.reason is not Reason.NONE
@@ -191,7 +191,7 @@ def test_with_any_keys_power_ends_with_the_key_and_returns_after_a_trip_only_by_
         monkeypatch.setattr(memory, "FOLDER", Path(folder))
         monkeypatch.setattr(plant, "MOST_CUTS", 1)
         run_state_machine_as_test(PanelMachine, settings=FEW)
-    told = f"{PanelMachine.steps} steps, {PanelMachine.beats} beats, {PanelMachine.powered} of them with power on"
-    record_property("figures", f"panel: {told}, {PanelMachine.trips} times taken away")
+    counts = f"{PanelMachine.steps} steps, {PanelMachine.beats} beats, {PanelMachine.powered} of them with power on"
+    record_property("figures", f"panel: {counts}, {PanelMachine.trips} times taken away")
     assert PanelMachine.powered
     assert PanelMachine.trips

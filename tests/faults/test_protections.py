@@ -70,7 +70,9 @@ def test_without_this_protection_the_campaign_finds_a_violation(campaign, monkey
 
 
 def test_without_the_comparison_on_the_bus_another_master_would_not_be_seen(campaign, monkeypatch):
-    case = campaign.Case("20", ("master@coast",), profile="sim_pci", ends=("MISSED_EXCHANGES", "told"), told_ms=40.0)
+    case = campaign.Case(
+        "20", ("master@coast",), profile="sim_pci", ends=("MISSED_EXCHANGES", "warned"), warned_ms=40.0
+    )
     assert not campaign.judged(case).problem
     monkeypatch.setattr(RtdacPci, "_written", property(lambda _: False, lambda _, __: None), raising=False)
     assert campaign.judged(case).problem

@@ -5,7 +5,7 @@ from tests.faults.protocol import BOUND, POLL_NS, Rules, Seen, explore, unexplai
 pytestmark = pytest.mark.untraced
 
 SECOND_LINE = {"loop_waits_for_the_guardian", "supervisor_stops"}
-"""Somebody else sees to it, too, if only later."""
+"""Another process does it, too, only later."""
 
 
 @pytest.mark.parametrize("strikes", [0, 1, 2, pytest.param(3, marks=pytest.mark.long)])
@@ -57,7 +57,7 @@ def test_what_a_struck_run_looks_like_is_explained_by_the_model(trace):
         (DRIVES, DRIVES._replace(holds=False)),  # given up with an output on
         (DRIVES, DRIVES._replace(loop="gone", guardian="gone")),  # two ends for one strike
         (DRIVES, KILLED, KILLED._replace(**SAFE), KILLED),  # on once more after the rescue
-        (DRIVES, DRIVES._replace(guardian="stopped"), KILLED._replace(guardian="stopped")),  # nobody's deed
+        (DRIVES, DRIVES._replace(guardian="stopped"), KILLED._replace(guardian="stopped")),  # no process's deed
     ],
 )
 def test_what_the_rules_do_not_allow_is_not_explained_by_the_model(trace):

@@ -122,7 +122,7 @@ def outcomes(read, appends):
 def test_a_record_is_complete_and_the_requested_one_or_it_is_left_out(read, appends, record_property):
     found = outcomes(read, appends)
     record_property(
-        "told", f"ring, {read.__name__}: {len(found)} outcomes of every interleaving with {appends} appends"
+        "figures", f"ring, {read.__name__}: {len(found)} outcomes of every interleaving with {appends} appends"
     )
     for records, schedule in found.items():
         assert all(one == other for one, other in records), f"torn: {records} at {schedule}"

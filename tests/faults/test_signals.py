@@ -13,7 +13,7 @@ from tests.faults.lives import INTERRUPTED, SIGNALS, Lives, strike_each
 
 pytestmark = [
     pytest.mark.untraced,
-    # a signal that meets a generator while it is being closed is lost in it, and Python can only tell of that
+    # a signal that meets a generator while it is being closed is lost in it, and Python can only report that
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
 ]
 

@@ -8,18 +8,18 @@ from tests.faults.states import EVENTS, enumerate_states
 pytestmark = pytest.mark.untraced
 
 
-def tell(record_property, depth):
+def search(record_property, depth):
     seen, transitions, met = enumerate_states(depth)
     record_property(
-        "told", f"decision path, {depth} ticks around a stop: {len(seen)} states, {transitions} transitions"
+        "figures", f"decision path, {depth} ticks around a stop: {len(seen)} states, {transitions} transitions"
     )
     assert set(met) == {(phase, event) for phase in set(Phase) - {Phase.UNKNOWN} for event in EVENTS}
 
 
 def test_any_events_within_three_ticks_of_any_moment_keep_the_invariants(record_property):
-    tell(record_property, 3)
+    search(record_property, 3)
 
 
 @pytest.mark.long
 def test_any_events_within_six_ticks_of_any_moment_keep_the_invariants(record_property):
-    tell(record_property, 6)
+    search(record_property, 6)

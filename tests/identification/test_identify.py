@@ -45,7 +45,7 @@ def identified(sessions):
     with pytest.MonkeyPatch.context() as patch:
         printed = []
         patch.setattr("inteco_abs.cli.identify.print_json", printed.append)
-        # these sessions are so few that its last round of 200 would not end either, along what they hardly tell
+        # these sessions are so few that its last round of 200 would not end either, along what they hardly determine
         patch.setattr("inteco_abs.identification.fit._ROUNDS", ((300.0, 20), (30.0, 20), (5.0, 20), (1.0, 20)))
         code = identify(*sessions.values(), "-o", out, "--json")
     return code, {each["name"]: each for each in printed[0]["estimates"]}, out
@@ -104,11 +104,11 @@ def test_the_parameter_file_is_a_configuration_for_all_that_uses_a_model(identif
 def test_a_coast_down_alone_leaves_the_brake_unknown_which_is_named(sessions, capsys):
     out = sessions["coast"].with_name("coast.toml")
     assert identify(sessions["coast"], "--json", "-o", out) == 3
-    told = capsys.readouterr()
-    missing = {each["name"] for each in json.loads(told.out)["estimates"] if each["status"] == "not identified"}
+    printed = capsys.readouterr()
+    missing = {each["name"] for each in json.loads(printed.out)["estimates"] if each["status"] == "not identified"}
     assert {"brake_lag", "brake_dead_time", "mu(0.2)"} <= missing
     assert "d" not in missing
-    assert "not identified: brake_lag, brake_dead_time: no session has brake steps" in told.err
+    assert "not identified: brake_lag, brake_dead_time: no session has brake steps" in printed.err
     assert not {"c31", "w4", "b1"} & tomllib.loads(out.read_text())["model"]["identified"].keys()
 
 
@@ -129,7 +129,7 @@ def test_the_figure_shows_what_is_left(sessions, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         ((), "name at least one session"),
         (("--plan", "a.mcap"), "records sessions and reads none"),
@@ -143,8 +143,8 @@ def test_the_figure_shows_what_is_left(sessions, tmp_path):
         (("--plan", "--board", "usb2:", "--rig", "hard:1"), "a real board has its own rig"),
     ],
 )
-def test_wrong_usage_says_what_to_do(arguments, told):
-    with pytest.raises(ConfigError, match=told):
+def test_wrong_usage_says_what_to_do(arguments, message):
+    with pytest.raises(ConfigError, match=message):
         identify(*arguments)
 
 
@@ -168,7 +168,7 @@ def test_the_plan_keeps_to_the_guards_limit():
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"),
+    ("settings", "message"),
     [
         (("model.identified.brake_duties=[0.5,0.6]",), "each duty needs its torque"),
         (
@@ -178,6 +178,6 @@ def test_the_plan_keeps_to_the_guards_limit():
         (("model.identified.J1=-1.0",), "J1"),
     ],
 )
-def test_a_parameter_file_that_cannot_be_is_refused(settings, told):
-    with pytest.raises(ConfigError, match=told):
+def test_a_parameter_file_that_cannot_be_is_refused(settings, message):
+    with pytest.raises(ConfigError, match=message):
         load_config(settings=settings)

@@ -1,4 +1,4 @@
-"""What the predictive controller is worth on drawn rigs, and the floor below it.
+"""The predictive controller on sampled rigs, and the lower bound of the oracle.
 
 Of seeds that nothing was tuned on.
 """

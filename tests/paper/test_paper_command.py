@@ -35,7 +35,7 @@ def paper(reproduced):
 
 
 @pytest.fixture(scope="module")
-def told(paper, tmp_path_factory):
+def written(paper, tmp_path_factory):
     """The folder of a run, and its JSON."""
     folder, out = tmp_path_factory.mktemp("paper") / "new", io.StringIO()
     with redirect_stdout(out):
@@ -52,8 +52,8 @@ def table(path):
         return list(csv.DictReader(file))
 
 
-def test_every_file_is_there_and_of_its_kind(told):
-    folder, facts = told
+def test_every_file_is_there_and_of_its_kind(written):
+    folder, facts = written
     expected = {*TABLES, *(f"{name}.{suffix}" for name in FIGURES for suffix in MAGIC)}
     assert {path.name for path in folder.iterdir()} == expected
     assert sorted(facts["files"]) == sorted(str(folder / name) for name in expected)
@@ -64,8 +64,8 @@ def test_every_file_is_there_and_of_its_kind(told):
 
 @pytest.mark.long
 @pytest.mark.untraced
-def test_another_process_writes_the_same_bytes_and_leaves_other_files_alone(told, tmp_path):
-    folder, _ = told
+def test_another_process_writes_the_same_bytes_and_leaves_other_files_alone(written, tmp_path):
+    folder, _ = written
     (tmp_path / "paper").mkdir()
     (tmp_path / "paper" / "notes.txt").write_text("mine")
     (tmp_path / "paper" / "table.md").write_text("old")
@@ -79,8 +79,8 @@ def test_another_process_writes_the_same_bytes_and_leaves_other_files_alone(told
     assert run.stderr.startswith("written: paper/simulation.csv, paper/simulation.png")
 
 
-def test_the_ratios_are_those_of_the_stops(told):
-    folder, _ = told
+def test_the_ratios_are_those_of_the_stops(written):
+    folder, _ = written
     stops, rows = table(folder / "stops.csv"), table(folder / "table.csv")
     rivals = [row for row in rows if row["pairing"]]
     assert len(rivals) == 6
@@ -96,8 +96,8 @@ def test_the_ratios_are_those_of_the_stops(told):
             assert float(row[f"largest_{metric}"]) == max(rival)
 
 
-def test_the_files_say_what_json_says(told):
-    folder, facts = told
+def test_the_files_say_what_json_says(written):
+    folder, facts = written
     rows = table(folder / "table.csv")
     assert [(row["condition"], row["pairing"]) for row in rows] == [
         (row["condition"], row["pairing"]) for row in facts["rows"]
@@ -109,8 +109,8 @@ def test_the_files_say_what_json_says(told):
     assert facts["rows"][3]["rigs"] in text
 
 
-def test_a_figures_data_are_those_of_its_stop(told):
-    folder, _ = told
+def test_a_figures_data_are_those_of_its_stop(written):
+    folder, _ = written
     course, stops = table(folder / "simulation.csv"), table(folder / "stops.csv")
     reached = next(float(tick["time_s"]) for tick in course if float(tick["slip"]) >= float(tick["slip_reference"]))
     assert reached == float(stops[0]["reaching_time_s"])

@@ -310,26 +310,26 @@ class TestAlarm:
         assert said == []
 
     @pytest.fixture
-    def tell(self, scene):
+    def warn(self, scene):
         """Look until the terminal has to be warned."""
 
-        def tell():
+        def warn():
             alarm = Alarm(scene.memory, turn=1)
             for _ in range(100):
                 scene.now_ns += POLL_NS
                 alarm.look()
 
-        return tell
+        return warn
 
-    def test_the_terminal_is_warned_where_no_screen_draws(self, scene, tell, until, capfd):
-        tell()
+    def test_the_terminal_is_warned_where_no_screen_draws(self, scene, warn, until, capfd):
+        warn()
         until(lambda: scene.words[Field.ALARMED] == 1, "it is said")
         assert STILL_ON in capfd.readouterr().err
 
-    def test_a_halted_terminal_blocks_no_process_not_even_at_the_end(self, scene, tell, monkeypatch):
+    def test_a_halted_terminal_blocks_no_process_not_even_at_the_end(self, scene, warn, monkeypatch):
         before, over = threading.enumerate(), threading.Event()
         monkeypatch.setattr(alarm_module, "os", SimpleNamespace(write=lambda *_: over.wait(30)))
-        tell()
+        warn()
         (writer,) = (thread for thread in threading.enumerate() if thread not in before)
         assert writer.daemon
         assert scene.words[Field.ALARMED] == 0

@@ -24,7 +24,7 @@ class HangsError(BaseException):
 
 @contextmanager
 def bounds(what):
-    """Neither more memory than that nor more time, whatever the file says."""
+    """At most that much memory and time, for any content of the file."""
 
     def give_up(_number, _frame):
         raise HangsError(what)
@@ -65,7 +65,7 @@ class Trial:
         self.lossless += [what] if self._lossless else []
 
     def of_ticks(self, data, what) -> None:
-        """For a file of which nothing tells that its ticks are not those that were recorded."""
+        """For a file without a sign that its ticks are not the recorded ones."""
         self.broken.write_bytes(data)
         for check in (self._replays_what_it_reads, self._validates, self._recovers):
             wrong = self._said_by(check, what)

@@ -365,7 +365,7 @@ def room():
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call():
-    """Lift what `room` has limited before pytest tells how the test ended: its own output may be a larger file."""
+    """Lift what `room` has limited before pytest reports how the test ended: its own output may be a larger file."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     try:
         return (yield)

@@ -13,7 +13,7 @@ from inteco_abs import elementary
 from inteco_abs.sessions import TICK, TRUTH, migration, read_session, validate
 
 ARCHIVE = Path(__file__).with_name("archive")
-TOLD = tomllib.loads((ARCHIVE / "archive.toml").read_text())
+RECORDED = tomllib.loads((ARCHIVE / "archive.toml").read_text())
 VERSIONS = [f"v{version}" for version in range(migration.FIRST, migration.newest() + 1)]
 LARGEST_BYTES = 60_000
 
@@ -40,19 +40,19 @@ def kept(version):
 
 
 def test_every_version_has_its_session():
-    assert sorted(path.stem for path in ARCHIVE.glob("*.mcap")) == sorted(TOLD) == sorted(VERSIONS)
+    assert sorted(path.stem for path in ARCHIVE.glob("*.mcap")) == sorted(RECORDED) == sorted(VERSIONS)
 
 
 def test_a_file_is_the_one_that_was_kept(version):
     data = path_of(version).read_bytes()
-    assert hashlib.sha256(data).hexdigest() == TOLD[version]["file_sha256"]
+    assert hashlib.sha256(data).hexdigest() == RECORDED[version]["file_sha256"]
     assert len(data) < LARGEST_BYTES
 
 
 def test_every_column_that_it_had_has_the_values_that_it_had(version, kept):
     for name, rows in (("tick", kept.ticks), ("truth", kept.truth)):
-        assert len(rows) == TOLD[version]["rows"][name]
-        assert {column: total(rows[column]) for column in TOLD[version][name]} == TOLD[version][name]
+        assert len(rows) == RECORDED[version]["rows"][name]
+        assert {column: total(rows[column]) for column in RECORDED[version][name]} == RECORDED[version][name]
 
 
 def test_nothing_is_missing_or_unknown(kept):
@@ -60,14 +60,14 @@ def test_nothing_is_missing_or_unknown(kept):
 
 
 def test_metadata_log_and_configuration_are_there(version, kept):
-    told = TOLD[version]
+    recorded = RECORDED[version]
     assert kept.metadata["session"]["format_version"] == version.removeprefix("v")
     for name in ("session_id", "started_utc"):
-        assert kept.metadata["session"][name] == told[name]
+        assert kept.metadata["session"][name] == recorded[name]
     assert kept.metadata["controller"]["name"] == "reaching-law"
-    assert kept.metadata["integrity"]["payload_sha256"] == told["payload_sha256"]
-    assert [event.text for event in kept.log] == told["events"]
-    assert json.loads(kept.metadata["result"]["card"])["ticks"] == told["rows"]["tick"]
+    assert kept.metadata["integrity"]["payload_sha256"] == recorded["payload_sha256"]
+    assert [event.text for event in kept.log] == recorded["events"]
+    assert json.loads(kept.metadata["result"]["card"])["ticks"] == recorded["rows"]["tick"]
 
 
 def test_it_is_valid(version):

@@ -9,7 +9,7 @@ from inteco_abs.mock_board import parse_faults
 
 
 class Folder:
-    """Runs one after the other, a second apart whatever the clock says."""
+    """Runs one after the other, a second apart at any clock."""
 
     def __init__(self, path, run_at):
         self.path, self._run_at, self._count = path, run_at, 0

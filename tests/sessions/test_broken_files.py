@@ -79,7 +79,7 @@ HOSTILE += [struct.pack("<Q", value) for value in (0, 1, 1 << 31, 1 << 32, 1 << 
 
 
 def with_other_ticks(container, data, generator):
-    """A session that was cut, with other bytes in some ticks: every checksum right, and no hash that could tell."""
+    """A session that was cut, with other bytes in some ticks: every checksum right, and no hash that shows it."""
     records = [r for r in container.split(data) if b"inteco_abs.integrity" not in r.content]
     records = records[: next(at for at, record in enumerate(records) if record.opcode == DATA_END)]
     at = generator.choice([at for at, record in enumerate(records) if record.opcode == CHUNK])
@@ -150,7 +150,7 @@ def test_a_verb_says_what_is_wrong_in_a_few_lines(short, altered, verb, tmp_path
             changed[generator.randrange(len(changed))] ^= generator.randrange(1, 256)
         out = ["-o", tmp_path / f"{number}.mcap"] if name == "recover" else []
         done = verb(name, altered(bytes(changed)), *out)
-        # 4 where the byte is one of a gain's, which is told beside the configuration that has it, too
+        # 4 where the byte is one of a gain's, which stands in the metadata and in the configuration
         assert done.code in {0, 1, 3} | ({4} if name == "replay" else set()), done
         assert "Traceback" not in done.err
         assert "internal error" not in done.err

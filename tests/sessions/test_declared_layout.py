@@ -1,4 +1,4 @@
-"""The layout of a message out of a descriptor that another version, or nobody we know, has written."""
+"""The layout of a message from a descriptor of another version or of an unknown writer."""
 
 import pytest
 from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto, FileDescriptorSet

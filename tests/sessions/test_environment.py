@@ -83,8 +83,8 @@ def test_a_package_that_is_there_by_halves_is_left_out(tmp_path, monkeypatch, me
 
 def test_a_note_of_them_gives_the_same_again():
     files = (Enclosure("git.diff", "text/x-diff", b"\xff\0"), Enclosure("requirements.txt", "text/plain", b"a==1\n"))
-    told = Environment(files, {"git_diff": "cut"})
-    assert Environment.of(json.loads(json.dumps(told.as_note()))) == told
+    found = Environment(files, {"git_diff": "cut"})
+    assert Environment.of(json.loads(json.dumps(found.as_note()))) == found
 
 
 def test_a_cut_diff_is_reported_among_the_facts(monkeypatch):

@@ -30,7 +30,7 @@ SHOWS_IN = {
 }
 """By input, the first field that is not what the log says."""
 LATEST = 2
-"""Ticks after which a change shows: what a flagged sample is not believed may be what is believed anyway."""
+"""Ticks after which a change shows: a flagged sample may have the value that is held in its place."""
 
 
 def bits_of(name):
@@ -121,7 +121,7 @@ def test_what_no_replay_can_know_is_left_to_the_hash(flips, name):
 
 @pytest.fixture(scope="module")
 def few(tmp_path_factory, stop, in_force):
-    """Bytes of a session of three ticks, whose gains are told in all places."""
+    """Bytes of a session of three ticks, with its gains in all places."""
     path = tmp_path_factory.mktemp("few") / "few.mcap"
     with FileWriter(path, 0) as recorder:
         for name, facts in stop.metadata.items():
@@ -171,7 +171,7 @@ def test_a_flip_in_any_byte_of_a_tick_is_found_by_the_hash(variants, stop):
     assert len(said) == 2
 
 
-def told_of(path, in_force):
+def reported_gains(path, in_force):
     """Gains that a replay names; None if the file is refused."""
     try:
         return changed_gains(read_session(path), in_force)
@@ -188,15 +188,15 @@ def test_a_flip_of_any_bit_of_a_gain_in_the_metadata_is_named(variants, containe
         pair = container.text(key) + container.text(text)
         letters = [*range(4, 4 + len(key)), *range(8 + len(key), len(pair))]
         for _, path in variants(METADATA, pair, [8 * at + bit for at, bit in product(letters, range(8))]):
-            told = told_of(path, in_force)
-            assert told is None or name in told
+            reported = reported_gains(path, in_force)
+            assert reported is None or name in reported
 
 
 def test_a_flip_of_any_bit_of_the_parameters_is_named(variants, in_force):
     entries = [chunk(1, chunk(1, name) + double(2, value)) for name, value in in_force.items()]
     message = b"".join(entries) + tag(2, 5) + bytes(4)
     for bit, path in variants(CHUNK, message):
-        assert told_of(path, in_force) != {}, bit
+        assert reported_gains(path, in_force) != {}, bit
 
 
 def test_a_flip_of_any_bit_of_the_controllers_configuration_is_named(stop, config):

@@ -372,7 +372,7 @@ def test_a_session_that_did_not_end_well_says_after_which_tick(run, quick, tmp_p
 
 @pytest.fixture
 def lifted(room):
-    """After the test, when pytest tells how it has ended, the disk is not full any more."""
+    """After the test, when pytest reports its end, the disk is no longer full."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     yield room
     assert resource.getrlimit(resource.RLIMIT_FSIZE) == before

@@ -55,9 +55,9 @@ def test_the_board_is_safe_after_a_completed_run(run, devices):
 
 
 def test_progress_is_reported_in_order(run):
-    told = []
-    made = run("experiment.idle_s=1.0", progress=lambda phase, ticks: told.append((phase, ticks)))
-    phases, ticks = zip(*told, strict=True)
+    calls = []
+    made = run("experiment.idle_s=1.0", progress=lambda phase, ticks: calls.append((phase, ticks)))
+    phases, ticks = zip(*calls, strict=True)
     assert list(phases) == sorted(phases)
     assert list(ticks) == sorted(set(ticks))
     assert {Phase.IDLE, Phase.ARMED, Phase.BRAKING} <= set(phases)

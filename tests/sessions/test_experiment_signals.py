@@ -62,16 +62,16 @@ def test_a_terminal_that_hangs_up_ends_the_run(run, devices, replayed, at_phase,
 
 
 def test_a_signal_during_progress_ends_the_run(run, devices, replayed, outer_signals):
-    told = []
+    calls = []
 
     def progress(phase, ticks):
-        told.append((phase, ticks))
-        if len(told) == 1:
+        calls.append((phase, ticks))
+        if len(calls) == 1:
             sender(signal.SIGINT)()
 
     made = run("experiment.idle_s=1.0", progress=progress)
     check_interrupted(made, devices, replayed)
-    assert told == [(Phase.IDLE, 1000)]
+    assert calls == [(Phase.IDLE, 1000)]
     assert outer_signals == []
 
 

@@ -1,4 +1,4 @@
-"""A run that is kept whatever its disk does."""
+"""A run is kept at any failure of its disk."""
 
 import errno
 import os
@@ -51,7 +51,7 @@ class Memory:
 
 
 class Kept:
-    """A stop told to a keeper in slices; `out` and `spill` are folders of their own."""
+    """A stop added to a writer in slices; `out` and `spill` are folders of their own."""
 
     def __init__(self, folder, source, *, spill=True, **recorder):
         self.out, self.spill = folder / "out" / "stop.mcap", folder / "spill" / "stop.mcap"
@@ -69,7 +69,7 @@ class Kept:
             partial(opener, **recorder),
             self.memory.held,
             self.spill if spill else None,
-            lambda *told: self.said.append(told),
+            lambda *warning: self.said.append(warning),
         )
 
     def introduce(self):
@@ -86,7 +86,7 @@ class Kept:
     def add(self, rows):
         self.keeper.add(*self.memory.more(rows))
 
-    def tell(self, *, before=lambda _number: None):
+    def add_all(self, *, before=lambda _number: None):
         for number in range(SLICES):
             before(number)
             self.slice()
@@ -125,7 +125,7 @@ def whole(path, kept):
 
 
 def test_on_a_good_disk_the_file_is_where_it_should_be_and_nothing_is_said(kept):
-    run = kept().introduce().tell()
+    run = kept().introduce().add_all()
     account = run.conclude()
     assert (account.exit_code, account.trouble, run.said) == (0, "", [])
     assert account.card["session"] == "stop.mcap"
@@ -135,19 +135,19 @@ def test_on_a_good_disk_the_file_is_where_it_should_be_and_nothing_is_said(kept)
 
 def test_frames_that_were_not_kept_are_reported_beside_what_the_disk_has_refused(kept):
     def none():
-        raise CaptureError("nobody has saved them")
+        raise CaptureError("no process has saved them")
 
     run = kept().introduce()
-    trouble = run.tell(before=lambda number: run.vanish() if number == 3 else None).conclude(none).trouble
+    trouble = run.add_all(before=lambda number: run.vanish() if number == 3 else None).conclude(none).trouble
     assert f"{run.out} is gone" in trouble
-    assert "raw frames: nobody has saved them; the whole session is in" in trouble
+    assert "raw frames: no process has saved them; the whole session is in" in trouble
     whole(run.spill, run)
 
 
 @pytest.mark.parametrize("at", range(SLICES))
 def test_when_the_folder_vanishes_the_whole_session_is_in_the_second_folder(kept, replayed, at):
     run = kept().introduce()
-    run.tell(before=lambda number: run.vanish() if number == at else None)
+    run.add_all(before=lambda number: run.vanish() if number == at else None)
     account = run.conclude()
     assert (account.exit_code, account.outcome) == (3, "completed")
     assert account.card["session"] == str(run.spill)
@@ -164,7 +164,7 @@ def test_when_the_folder_vanishes_the_whole_session_is_in_the_second_folder(kept
 
 
 def test_when_the_folder_vanishes_after_the_last_tick_so_it_does_too(kept):
-    run = kept().introduce().tell()
+    run = kept().introduce().add_all()
     run.vanish()
     assert run.conclude().exit_code == 3
     whole(run.spill, run)
@@ -178,7 +178,7 @@ def test_a_disk_that_refuses_once_has_the_whole_session_in_the_end(kept, room, a
     def limit(number):
         room(run.out.stat().st_size if number == at else lifted)
 
-    run.tell(before=limit)
+    run.add_all(before=limit)
     room(lifted)
     assert run.keeper.ticks == len(run.payload) // TICK.size
     assert not run.keeper.writing
@@ -204,7 +204,7 @@ def test_ticks_that_come_just_as_the_disk_refuses_are_kept(tmp_path, chunked, ro
 
 def test_a_disk_that_keeps_refusing_is_an_error_at_the_end_only_and_nothing_is_forgotten(kept):
     run = kept(spill=False).introduce()
-    run.tell(before=lambda number: run.vanish() if number == 2 else None)
+    run.add_all(before=lambda number: run.vanish() if number == 2 else None)
     with pytest.raises(SessionError, match=r"is gone: .*; the file could not be written again at the end either"):
         run.keeper.finish(RunEnd(Reason.NONE, run.keeper.ticks))
     assert b"".join(ticks for ticks, _ in run.keeper.rows()) == run.payload
@@ -214,7 +214,7 @@ def test_a_disk_that_keeps_refusing_is_an_error_at_the_end_only_and_nothing_is_f
 def test_a_second_place_that_refuses_too_is_named(kept):
     run = kept().introduce()
     run.spill.parent.rmdir()
-    run.tell(before=lambda number: run.vanish() if number == 2 else None)
+    run.add_all(before=lambda number: run.vanish() if number == 2 else None)
     ((text, _),) = run.said
     assert str(run.out) in text
     assert f"the folder {run.spill.parent} does not exist" in text
@@ -233,7 +233,7 @@ def test_if_the_second_folder_vanishes_too_the_first_is_used_again_once_it_is_ba
             shutil.rmtree(run.spill.parent)
             run.out.parent.mkdir()
 
-    run.tell(before=before)
+    run.add_all(before=before)
     assert run.conclude().card["session"] == "stop.mcap"
     whole(run.out, run)
 
@@ -247,7 +247,7 @@ def test_another_file_that_has_taken_the_name_is_left_alone(kept):
             run.out.parent.mkdir()
             run.out.write_bytes(b"somebody else's")
 
-    run.tell(before=before)
+    run.add_all(before=before)
     assert "another file has its name" in run.said[0][0]
     with pytest.raises(SessionError):
         run.conclude()
@@ -268,7 +268,7 @@ def test_a_disk_that_refuses_before_the_run_refuses_the_run_and_leaves_no_file(k
 def test_warnings_are_in_the_log_of_the_file_that_is_used_last(kept):
     run = kept().introduce()
     run.keeper.warn(10**18 + 5, "the disk is slow")
-    run.tell(before=lambda number: run.vanish() if number == 2 else None)
+    run.add_all(before=lambda number: run.vanish() if number == 2 else None)
     run.keeper.warn(10**18 + 9, "the disk is slow again")
     run.conclude()
     texts = [event.text for event in read_session(run.spill).log]
@@ -291,13 +291,13 @@ class TestSync:
         slices = [phases[max(at - 1, 0) : at + rows] for at in range(0, len(phases), rows)]
         changing = sum(len(set(each.tolist())) > 1 or not at for at, each in enumerate(slices))
         assert 2 < changing < SLICES
-        run.tell()
+        run.add_all()
         assert len(synced) == 1 + changing
         run.conclude()
         assert synced[-1] == run.out.stat().st_size
 
     def test_a_run_in_virtual_time_waits_for_no_disk(self, kept, synced):
-        kept().introduce().tell().conclude()
+        kept().introduce().add_all().conclude()
         assert synced == []
 
     def test_a_disk_that_fails_to_sync_refuses(self, kept, monkeypatch):

@@ -1,4 +1,4 @@
-"""The raw frames of a run in its session: as the capture of the same run has them, and in nobody's way."""
+"""The raw frames of a run in its session: as the capture of the same run has them, and without disturbing it."""
 
 import shutil
 import zlib
@@ -236,18 +236,18 @@ class TestDamage:
 
 @pytest.fixture
 def concluded(tiny, tmp_path):
-    """Tells a short run, and how it ended with these frames."""
+    """Records a short run with these frames."""
     session = tiny.session
 
-    def tell(frames):
-        with FileWriter(tmp_path / "told.mcap", 0) as recorder:
+    def record(frames):
+        with FileWriter(tmp_path / "short.mcap", 0) as recorder:
             introduction = RunHeader("sim:", {}, virtual=True, gains={}, internals=[], controller_source=b"")
             scribe = SessionWriter(recorder, tiny.config, introduction)
             scribe.write_header()
             scribe.add(bytes(session.payload), b"")
             return scribe.finish(RunEnd(Reason.NONE, len(session.ticks), frames=frames))
 
-    return tell
+    return record
 
 
 def failing(head, records, error):
@@ -265,12 +265,12 @@ def test_without_a_recording_the_session_is_whole_and_says_why_it_has_no_frames(
     account = concluded(none)
     assert (account.outcome, account.exit_code) == ("completed", 3)
     assert "raw frames: the loop's process ended before it had saved them" in account.trouble
-    session = read_session(tmp_path / "told.mcap")
+    session = read_session(tmp_path / "short.mcap")
     assert (session.incomplete, session.frames, len(session.ticks)) == ("", 0, len(tiny.session.ticks))
     assert session.metadata["frames"] == {"missing": "the loop's process ended before it had saved them"}
-    assert "not all raw frames were kept" in validate(tmp_path / "told.mcap").findings[0].problem
+    assert "not all raw frames were kept" in validate(tmp_path / "short.mcap").findings[0].problem
     with pytest.raises(SessionError, match="has no raw frames: the loop's process ended"):
-        read_frames(tmp_path / "told.mcap")
+        read_frames(tmp_path / "short.mcap")
 
 
 def test_a_recording_that_breaks_off_gives_the_frames_before_that(concluded, tmp_path):
@@ -278,7 +278,7 @@ def test_a_recording_that_breaks_off_gives_the_frames_before_that(concluded, tmp
     records = (Record(0.0, RecordKind.OUT, None, b"o"), Record(1e-9, RecordKind.IN, None, b"i"))
     account = concluded(failing(head, records, "line 4 is wrong"))
     assert "line 4 is wrong" in account.trouble
-    *before, warning = read_frames(tmp_path / "told.mcap").records
+    *before, warning = read_frames(tmp_path / "short.mcap").records
     assert tuple(before) == records
     assert "may lack messages: line 4 is wrong" in warning.text
 

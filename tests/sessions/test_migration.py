@@ -50,8 +50,8 @@ def write(path, run, version=NEXT, tick=TICK, truth=TRUTH, **values):
             schema = writer.register_schema(message.name, "protobuf", message.descriptor())
             channel = writer.register_channel(message.topic, "protobuf", schema)
             for number, row in enumerate(rows):
-                told = {name: row[name].item() for name in rows.dtype.names} | values
-                data = message.pack([told[column.name] for column in message.columns])
+                values_now = {name: row[name].item() for name in rows.dtype.names} | values
+                data = message.pack([values_now[column.name] for column in message.columns])
                 stamp = session.epoch_ns + int(row["time_ns"])
                 writer.add_message(channel, stamp, data, stamp, number)
                 if message is tick:

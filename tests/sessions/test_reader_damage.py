@@ -37,7 +37,7 @@ def contents(session):
 
 
 class Reading:
-    """Reads variants of one file and remembers every one that was believed and should not have been."""
+    """Reads variants of one file and remembers every damaged one that was accepted."""
 
     def __init__(self, run, altered) -> None:
         self.data, self.whole, self.altered = run.path.read_bytes(), run.session, altered

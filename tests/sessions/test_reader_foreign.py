@@ -158,12 +158,12 @@ def encoded_again(officially, tiny, tmp_path):
     """The tiny session as a program writes it that decodes messages and encodes them: zeros are left out."""
 
     def write(*, finish=True):
-        told, path = officially(tiny.path), tmp_path / "anew.mcap"
+        official, path = officially(tiny.path), tmp_path / "again.mcap"
         with path.open("wb") as file:
             writer = Writer(file, compression=CompressionType.ZSTD)
             writer.start(library="another program")
             schemas, channels = {}, {}
-            for schema, channel, message, decoded in told.messages:
+            for schema, channel, message, decoded in official.messages:
                 if channel.id not in channels:
                     schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
                     channels[channel.id] = writer.register_channel(
@@ -171,9 +171,9 @@ def encoded_again(officially, tiny, tmp_path):
                     )
                 data = decoded.SerializeToString(deterministic=True)
                 writer.add_message(channels[channel.id], message.log_time, data, message.log_time, message.sequence)
-            for each in told.attachments:
+            for each in official.attachments:
                 writer.add_attachment(each.create_time, each.log_time, each.name, each.media_type, each.data)
-            for each in told.metadata:
+            for each in official.metadata:
                 writer.add_metadata(each.name, dict(each.metadata))
             writer.flush()
             if finish:

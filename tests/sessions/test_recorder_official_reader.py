@@ -119,8 +119,8 @@ def test_an_event_has_the_time_of_its_tick(seen):
     first = {}
     for _, _, message, decoded in seen.of("/abs/tick"):
         first.setdefault(f"phase {Phase(decoded.phase).name}", message.log_time)
-    told = {decoded.message: message.log_time for _, _, message, decoded in seen.of("/abs/event")}
-    assert told == first
+    found_values = {decoded.message: message.log_time for _, _, message, decoded in seen.of("/abs/event")}
+    assert found_values == first
 
 
 def test_an_event_carries_its_time_and_its_source(seen):
@@ -211,14 +211,14 @@ def test_messages_are_in_chunks_only(chunked, container):
 
 def test_the_result_is_the_card_in_a_message(seen, quick):
     ((_, _, message, found),) = seen.of("/abs/result")
-    told = {field.name: getattr(found, field.name) for field in found.DESCRIPTOR.fields}
+    found_values = {field.name: getattr(found, field.name) for field in found.DESCRIPTOR.fields}
     card = quick.stop.card
     expected = {**card, **{f"lateness_us_{name}": value for name, value in card["lateness_us"].items()}}
-    assert told.pop("rig") == ""  # there was none
-    known = {name: value for name, value in told.items() if str(value) != "nan"}
+    assert found_values.pop("rig") == ""  # there was none
+    known = {name: value for name, value in found_values.items() if str(value) != "nan"}
     assert known == {name: expected[name] for name in known}
-    assert [expected[name] for name in told.keys() - known.keys()] == [None] * (len(told) - len(known))
-    assert told.keys() >= card.keys() - {"schema_version", "lateness_us", "rig"}
+    assert [expected[name] for name in found_values.keys() - known.keys()] == [None] * (len(found_values) - len(known))
+    assert found_values.keys() >= card.keys() - {"schema_version", "lateness_us", "rig"}
     assert message.log_time == seen.of("/abs/tick")[-1][2].log_time
 
 

@@ -100,8 +100,8 @@ def test_controller_record_has_every_gain_in_decimal_and_in_hex(run, settings):
     assert facts["estimator"] == made.config.estimator.name
     assert facts["reference_slip"] == repr(made.config.controller.reference_slip)
     assert float(facts["sample_time_s"]) == 1.0 / made.config.loop.rate_hz
-    told = {key.removeprefix("gain.") for key in facts if key.startswith("gain.")}
-    assert told == {*gains, *(f"{name}.hex" for name in gains)}
+    named = {key.removeprefix("gain.") for key in facts if key.startswith("gain.")}
+    assert named == {*gains, *(f"{name}.hex" for name in gains)}
     for name, value in gains.items():
         assert facts[f"gain.{name}"] == repr(value)
         assert facts[f"gain.{name}.hex"] == value.hex()

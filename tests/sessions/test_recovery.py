@@ -112,7 +112,7 @@ def test_a_chunk_of_another_session_gives_no_tick(rescue, container, pieces, tin
 MESSAGE_HEAD = struct.Struct("<HIQQ")
 
 
-def retold(container, record, change):
+def altered_chunk(container, record, change):
     """The chunk after `change` of each tick's values, with its times and its checksum right."""
     parts = container.split(container.unpack(record), 0)
     for at, part in enumerate(parts):
@@ -128,7 +128,7 @@ def retold(container, record, change):
 
 
 @pytest.mark.parametrize(
-    ("number", "told", "later_ns", "kept"),
+    ("number", "changed_to", "later_ns", "kept"),
     [
         (20, 19, 0, False),
         (20, 20, 0, True),
@@ -140,15 +140,15 @@ def retold(container, record, change):
     ],
 )
 def test_a_chunk_whose_ticks_do_not_follow_one_another_is_refused(
-    rescue, container, pieces, number, told, later_ns, kept
+    rescue, container, pieces, number, changed_to, later_ns, kept
 ):
     def change(row):
         if row["tick"] == number:
-            row["tick"] = told
+            row["tick"] = changed_to
             row["time_ns"] = int(row["time_ns"]) + later_ns
 
     records, chunks = pieces
-    records[chunks[3]] = retold(container, records[chunks[3]], change)
+    records[chunks[3]] = altered_chunk(container, records[chunks[3]], change)
     recovery, session = rescue(joined(container, records))
     assert (len(session.ticks) == 60) is kept
     assert any("repeats earlier" in loss for loss in recovery.losses) is not kept
@@ -176,7 +176,7 @@ def test_ticks_that_are_not_those_that_were_recorded_are_named(rescue, container
         row["brake_request"] += 0.5
 
     records, chunks = pieces
-    records[chunks[3]] = retold(container, records[chunks[3]], change)
+    records[chunks[3]] = altered_chunk(container, records[chunks[3]], change)
     recovery, _ = rescue(container.join(records))
     assert recovery.losses == ("the ticks do not match the hash that was recorded with them",)
 
@@ -241,14 +241,14 @@ def test_in_however_many_blocks_it_is_copied_nothing_is_left_out(rescue, short, 
     monkeypatch.setattr(recovery, "_BLOCK_TICKS", ticks)
     session = read_session(short)
     times = session.epoch_ns + session.ticks["time_ns"].astype(int)
-    with FileWriter(tmp_path / "told.mcap", int(session.ticks["time_ns"][0]), epoch_ns=session.epoch_ns) as recorder:
+    with FileWriter(tmp_path / "damaged.mcap", int(session.ticks["time_ns"][0]), epoch_ns=session.epoch_ns) as recorder:
         recorder.begin({})
         recorder.ticks(session.ticks.tobytes())
         recorder.truths(session.truth.tobytes())
         for at in (5, 30, 59):
             recorder.warn(int(times[at]) + 1, f"after tick {at}")
         recorder.flush()
-    recovered = rescue((tmp_path / "told.mcap").read_bytes())[1]
+    recovered = rescue((tmp_path / "damaged.mcap").read_bytes())[1]
     assert recovered.ticks.tobytes() == session.ticks.tobytes()
     assert recovered.truth.tobytes() == session.truth.tobytes()
     assert [event.text for event in recovered.log if "after" in event.text] == [
@@ -426,10 +426,10 @@ def test_a_declaration_is_looked_at_once_however_many_there_are(rescue, containe
 
 def test_parameters_are_published_again(rescue, officially, short, tmp_path):
     rescue(short.read_bytes())
-    ((_, _, _, told),) = officially(tmp_path / "out.mcap").of("/abs/params")
+    ((_, _, _, parameters),) = officially(tmp_path / "out.mcap").of("/abs/params")
     facts = read_session(short).metadata["controller"]
-    assert told.values["reference_slip"] == float(facts["reference_slip"])
-    assert told.values["Mk"] == float(facts["gain.Mk"])
+    assert parameters.values["reference_slip"] == float(facts["reference_slip"])
+    assert parameters.values["Mk"] == float(facts["gain.Mk"])
 
 
 def test_the_log_is_the_originals_with_its_warnings(tmp_path, tiny):

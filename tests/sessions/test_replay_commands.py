@@ -133,8 +133,8 @@ def test_what_if_prints_a_line_for_each_request_and_the_log_before_the_simulated
     report = json.loads(command(*sweep, "--json")[1])
     torques = [line.split() for line in requests.splitlines() if "torque, N m" in line]
     assert torques[0][3] == "never"
-    for told, each in zip(torques, report["alternatives"], strict=True):
-        assert told[4] == f"{each['open_loop'][1]['largest']:.3g}"
+    for row, each in zip(torques, report["alternatives"], strict=True):
+        assert row[4] == f"{each['open_loop'][1]['largest']:.3g}"
     rows = [line.split() for line in simulated.splitlines() if " log " in line or " controller.gains" in line]
     assert [row[0] for row in rows] == ["log", "controller.gains.Mk=2", "controller.gains.Mk=20"]
     assert rows[0][2] == f"{report['simulation']['log']['stop_time_s']:.3g}"

@@ -180,7 +180,7 @@ def test_one_bit_of_any_logged_input_is_found_and_named(quick, retouched, replay
     row = row_in(session, phase, 200)
     found = replayed(retouched(session, row, **{name: flipped(session, row, name)}))
     assert found.first.field == FOUND_AS[name]
-    at_once = name != "board_flags"  # what a sample is not believed may be what is believed anyway, for a tick
+    at_once = name != "board_flags"  # a flagged sample may have the value that is held in its place, for a tick
     assert row <= found.first.tick <= row + (0 if at_once else 2)
 
 

@@ -27,9 +27,9 @@ class TestList:
         assert "ends early" in next(line for line in lines if line.startswith("cut"))
 
     def test_json(self, verb, folder):
-        told = verb("list", folder, "--json", "--sort", "ticks", "--reverse").json
-        assert told["schema_version"] == 1
-        assert [row["session"].rpartition("/")[2] for row in told["sessions"]] == ["b.mcap", "a.mcap", "cut.mcap"]
+        report = verb("list", folder, "--json", "--sort", "ticks", "--reverse").json
+        assert report["schema_version"] == 1
+        assert [row["session"].rpartition("/")[2] for row in report["sessions"]] == ["b.mcap", "a.mcap", "cut.mcap"]
 
     def test_whole_sessions_are_0(self, verb, folder):
         (folder / "cut.mcap").unlink()
@@ -88,10 +88,10 @@ class TestValidate:
         assert any(": bytes " in line and ": loss: the file ends early" in line for line in lines)
 
     def test_json(self, verb, folder):
-        told = verb("validate", folder / "a.mcap", folder / "cut.mcap", "--json").json
-        assert told["schema_version"] == 1
-        assert [each["verdict"] for each in told["sessions"]] == ["well", "losses"]
-        assert set(told["sessions"][1]["findings"][0]) == {"severity", "place", "problem"}
+        report = verb("validate", folder / "a.mcap", folder / "cut.mcap", "--json").json
+        assert report["schema_version"] == 1
+        assert [each["verdict"] for each in report["sessions"]] == ["well", "losses"]
+        assert set(report["sessions"][1]["findings"][0]) == {"severity", "place", "problem"}
 
     def test_no_file_is_usage(self, verb):
         assert verb("validate").code == 2
@@ -119,10 +119,10 @@ class TestRecover:
         assert "60 ticks recovered, nothing was lost" in done.out
 
     def test_json_is_the_card_and_what_is_missing(self, verb, folder):
-        told = verb("recover", folder / "cut.mcap", "-o", folder / "new.mcap", "--json").json
-        assert (told["schema_version"], told["outcome"]) == (1, "recovered")
-        assert told["missing_ticks"] == []
-        assert any("no end" in loss for loss in told["losses"])
+        report = verb("recover", folder / "cut.mcap", "-o", folder / "new.mcap", "--json").json
+        assert (report["schema_version"], report["outcome"]) == (1, "recovered")
+        assert report["missing_ticks"] == []
+        assert any("no end" in loss for loss in report["losses"])
 
     def test_a_pipe_is_refused_and_not_waited_for(self, verb, tmp_path):
         os.mkfifo(tmp_path / "pipe")
@@ -256,10 +256,10 @@ class TestDiff:
         assert done.code == 0
 
     def test_json(self, verb, folder):
-        told = verb("diff", folder / "a.mcap", folder / "b.mcap", "--json", "--only", "configuration").json
-        assert (told["schema_version"], told["equal"]) == (1, False)
-        assert list(told["changes"]) == ["configuration"]
-        assert set(told["changes"]["configuration"][0]) == {"key", "a", "b"}
+        report = verb("diff", folder / "a.mcap", folder / "b.mcap", "--json", "--only", "configuration").json
+        assert (report["schema_version"], report["equal"]) == (1, False)
+        assert list(report["changes"]) == ["configuration"]
+        assert set(report["changes"]["configuration"][0]) == {"key", "a", "b"}
 
     def test_a_cut_session_that_is_otherwise_equal_is_a_loss(self, verb, folder):
         assert verb("diff", folder / "a.mcap", folder / "cut.mcap", "--only", "gains").code == 3

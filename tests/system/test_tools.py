@@ -30,11 +30,11 @@ def run(tool, *arguments, environment):
     return process.stdout
 
 
-TOLD_BY_THE_COMMAND = {"run"}
+COMMAND_REPORTS = {"run"}
 NAMES = sorted(path.name for path in TOOLS.iterdir() if path.is_file() and not path.suffix)
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if name not in TOLD_BY_THE_COMMAND])
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in COMMAND_REPORTS])
 def test_every_tool_prints_its_help_and_does_nothing_else(name, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     if (TOOLS / name).read_text().startswith("#!/bin/sh"):

@@ -1,6 +1,6 @@
 // What the official TypeScript reader finds in the session named on the command line, as JSON on standard output:
 // by topic, the number of messages, and of every number its sum in the order of the file, and how often it is no number.
-// Integers of 64 bits and their sums are decimal text. Log lines are told as they are.
+// Integers of 64 bits and their sums are decimal text. Log lines are kept as they are.
 import { McapIndexedReader } from "@mcap/core";
 import { FileHandleReadable } from "@mcap/nodejs";
 import { loadDecompressHandlers, protobufFromBinaryDescriptor } from "@mcap/support";
@@ -22,35 +22,35 @@ for (const [id, channel] of reader.channelsById) {
   topics[channel.topic] = { schema: schema.name, fields, messages: 0, sums: {}, notNumbers: {}, members: {}, lines: [] };
 }
 
-function add(told, field, value) {
+function add(summary, field, value) {
   if (!["number", "boolean"].includes(typeof value) && !field.type.endsWith("64")) {
     return;
   }
   if (field.resolvedType?.values) {
-    const counts = (told.members[field.name] ??= {});
+    const counts = (summary.members[field.name] ??= {});
     const member = field.resolvedType.valuesById[value];
     counts[member] = (counts[member] ?? 0) + 1;
   }
   if (Number.isNaN(value)) {
-    told.notNumbers[field.name] = (told.notNumbers[field.name] ?? 0) + 1;
+    summary.notNumbers[field.name] = (summary.notNumbers[field.name] ?? 0) + 1;
     return;
   }
   const number = typeof value === "object" ? BigInt(value.toString()) : Number(value);
-  const before = told.sums[field.name];
-  told.sums[field.name] = before === undefined ? number : before + number;
+  const before = summary.sums[field.name];
+  summary.sums[field.name] = before === undefined ? number : before + number;
 }
 
 for await (const message of reader.readMessages()) {
-  const told = topics[reader.channelsById.get(message.channelId).topic];
+  const summary = topics[reader.channelsById.get(message.channelId).topic];
   const type = types.get(message.channelId);
   const decoded = type.decode(message.data);
-  told.messages += 1;
-  if (told.schema === "foxglove.Log") {
-    told.lines.push(decoded.message);
+  summary.messages += 1;
+  if (summary.schema === "foxglove.Log") {
+    summary.lines.push(decoded.message);
   } else {
     for (const field of type.fieldsArray) {
       if (!field.repeated && !field.map) {
-        add(told, field, decoded[field.name]);
+        add(summary, field, decoded[field.name]);
       }
     }
   }

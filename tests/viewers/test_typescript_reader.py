@@ -56,11 +56,11 @@ def opened(path, in_typescript):
 def test_messages_are_as_many(opened):
     session, theirs = opened
     expected = {TICK.topic: len(session.ticks), "/abs/event": session.events, "/abs/params": 1}
-    found = {topic: told["messages"] for topic, told in theirs["topics"].items()}
+    found = {topic: summary["messages"] for topic, summary in theirs["topics"].items()}
     assert found.pop(TRUTH.topic, 0) == len(session.truth)
     assert found.get(IO_TOPIC, 0) == session.frames
     assert {topic: found[topic] for topic in expected} == expected
-    assert int(theirs["counted"]) == sum(told["messages"] for told in theirs["topics"].values())
+    assert int(theirs["counted"]) == sum(summary["messages"] for summary in theirs["topics"].values())
 
 
 def today(found):
@@ -77,21 +77,21 @@ def test_every_column_of_numbers_has_the_sum_that_numpy_finds(opened, message):
     if message is TRUTH and not len(rows):
         assert message.topic not in theirs["topics"]  # a golden session keeps no truth
         return
-    told = {key: today(value) for key, value in theirs["topics"][message.topic].items()}
-    rows = rows[[name for name in rows.dtype.names if name in told["fields"]]]  # older files have fewer
-    assert told["schema"] == message.name
-    assert told["sums"] == sums(rows)
-    assert told["notNumbers"] == not_numbers(rows)
-    assert told["members"] == members(rows, message)
+    summary = {key: today(value) for key, value in theirs["topics"][message.topic].items()}
+    rows = rows[[name for name in rows.dtype.names if name in summary["fields"]]]  # older files have fewer
+    assert summary["schema"] == message.name
+    assert summary["sums"] == sums(rows)
+    assert summary["notNumbers"] == not_numbers(rows)
+    assert summary["members"] == members(rows, message)
 
 
 def test_the_raw_frames_are_of_the_same_directions_and_times(fresh, in_typescript):
-    told, capture = in_typescript(fresh)["topics"][IO_TOPIC], read_frames(fresh)
+    summary, capture = in_typescript(fresh)["topics"][IO_TOPIC], read_frames(fresh)
     counts = Counter(f"DIRECTION_{Direction[record.kind.name].name}" for record in capture.records)
-    assert told["schema"] == IO_NAME
-    assert told["members"] == {"direction": dict(counts)}
+    assert summary["schema"] == IO_NAME
+    assert summary["members"] == {"direction": dict(counts)}
     times_ns = [capture.start_ns + round(record.t_s * 1e9) for record in capture.records]
-    assert told["sums"]["time_ns"] == str(sum(times_ns))
+    assert summary["sums"]["time_ns"] == str(sum(times_ns))
 
 
 def test_log_metadata_and_attachments_are_there(opened):

@@ -48,7 +48,7 @@ def faulty(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def told():
+def with_facts():
     """A session with other facts in one of its records."""
 
     def change(session, record, **facts):

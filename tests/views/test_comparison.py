@@ -33,13 +33,13 @@ def test_controllers_are_named_where_they_differ_and_gains_only_among_sessions_o
         ("rig", "simulated", "false", "real rig"),
     ],
 )
-def test_any_other_difference_is_named(session, told, record, key, value, label):
-    other = replace(told(session, record, **{key: value}), path=Path("other.mcap"))
+def test_any_other_difference_is_named(session, with_facts, record, key, value, label):
+    other = replace(with_facts(session, record, **{key: value}), path=Path("other.mcap"))
     assert labels([session, other])[1] == label
 
 
-def test_the_published_rig_is_named_beside_a_drawn_one(session, told):
-    assert labels([session, told(session, "rig", drawn="hard:17")]) == ["published rig", "hard:17"]
+def test_the_published_rig_is_named_beside_a_drawn_one(session, with_facts):
+    assert labels([session, with_facts(session, "rig", drawn="hard:17")]) == ["published rig", "hard:17"]
 
 
 def test_a_setting_is_named_where_nothing_else_differs(session):

@@ -279,8 +279,8 @@ def test_a_curve_that_one_session_lacks_is_shown_for_none(session, others, drawn
     )
 
 
-def test_a_name_is_not_a_formula_and_a_long_one_is_cut(session, others, told, tmp_path):
-    odd = told(others[1], "controller", name=r"$\nothing{$ " + "very " * 200 + "long")
+def test_a_name_is_not_a_formula_and_a_long_one_is_cut(session, others, with_facts, tmp_path):
+    odd = with_facts(others[1], "controller", name=r"$\nothing{$ " + "very " * 200 + "long")
     for name, sessions in (("alone.svg", [odd]), ("beside.svg", [session, odd])):
         draw_stops(sessions, tmp_path / name, "one")
 

@@ -1,4 +1,4 @@
-"""Keys without Enter, and the terminal as it was, whatever ends the program."""
+"""Keys without Enter, and the terminal restored at any end of the program."""
 
 import os
 import signal

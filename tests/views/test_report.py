@@ -111,10 +111,10 @@ class TestPage:
         assert len(made.encode()) < MOST_BYTES
 
     @pytest.mark.usefixtures("without_matplotlib")
-    def test_nothing_from_a_session_becomes_a_tag_or_a_script_and_no_value_is_too_wild(self, session, told, page):
+    def test_nothing_from_a_session_becomes_a_tag_or_a_script_and_no_value_is_too_wild(self, session, with_facts, page):
         evil = session
         for record in ("controller", "session", "software", "rig", EVIL):
-            evil = told(evil, record, name=EVIL, outcome=EVIL, reason=EVIL, estimator=EVIL, board=EVIL, argv=EVIL)
+            evil = with_facts(evil, record, name=EVIL, outcome=EVIL, reason=EVIL, estimator=EVIL, board=EVIL, argv=EVIL)
         ticks = session.ticks.copy()
         ticks["switching"][-5:], ticks["torque_demand_nm"][-5:], ticks["slip"][-9:] = np.inf, 1e300, np.nan
         evil = replace(evil, path=Path("a" + EVIL.replace("/", "")), log=(LogEntry(0, 4, EVIL),), ticks=ticks)

@@ -104,12 +104,12 @@ def test_the_cursor_shows_the_values_of_all_plots(browser, page, session):
     browser.show(page)
     browser.point_at("speeds")
     at_s = float(browser.run("return document.getElementById('when').textContent").split()[1])
-    told = browser.run("return [...document.querySelectorAll('#slip output')].map(each => Number(each.textContent))")
+    shown = browser.run("return [...document.querySelectorAll('#slip output')].map(each => Number(each.textContent))")
     start_ns = float(session.ticks["time_ns"][session.ticks["phase"] == Phase.BRAKING][0])
     row = int(np.abs(session.truth["time_ns"] - start_ns - at_s * 1e9).argmin())
     near = session.truth["slip"][row - 1 : row + 2]
     assert len(np.unique(session.truth["slip"][row - 9 : row + 9])) > 9
-    assert near.min() * 0.9995 <= told[1] <= near.max() * 1.0005
+    assert near.min() * 0.9995 <= shown[1] <= near.max() * 1.0005
 
 
 @pytest.mark.long
@@ -151,9 +151,9 @@ def test_paper_gets_the_figure_in_place_of_the_plots(browser, page):
 
 
 def test_a_comparison_of_odd_sessions_draws_what_they_have_and_runs_none_of_their_code(
-    browser, session, others, faulty, told, tmp_path
+    browser, session, others, faulty, with_facts, tmp_path
 ):
-    evil = told(others[0], "controller", name=EVIL, estimator=EVIL)
+    evil = with_facts(others[0], "controller", name=EVIL, estimator=EVIL)
     one = replace(others[1], ticks=others[1].ticks[:1], truth=others[1].truth[:0])
     write_report([session, evil, faulty, one], tmp_path / "comparison.html")
     browser.show(tmp_path / "comparison.html")

@@ -28,8 +28,8 @@ def without_ticks(session):
 
 
 @pytest.fixture
-def clean(session, told):
-    return told(session, "software", git_dirty="false")
+def clean(session, with_facts):
+    return with_facts(session, "software", git_dirty="false")
 
 
 class TestResult:
@@ -46,8 +46,8 @@ class TestResult:
         assert not rows["overruns"].differs
 
     @pytest.mark.parametrize("card", ['{"stop_time_s": "soon", "lateness_us": 3, "overruns": null}', "[]", "{"])
-    def test_an_invalid_card_has_dashes(self, session, told, card):
-        bare = replace(told(session, "result", card=card), attachments={})
+    def test_an_invalid_card_has_dashes(self, session, with_facts, card):
+        bare = replace(with_facts(session, "result", card=card), attachments={})
         rows = {row.name: row.values for row in result_rows([bare])}
         assert rows["stop time"] == rows["overruns"] == rows["late, most"] == ("–",)
 
@@ -76,9 +76,9 @@ class TestWarnings:
     def test_a_normal_stop_has_no_warnings(self, clean):
         assert warnings_of(clean) == []
 
-    def test_how_and_why_the_guard_ended_it(self, faulty, told):
+    def test_how_and_why_the_guard_ended_it(self, faulty, with_facts):
         row = int(np.flatnonzero(faulty.ticks["reason"])[0])
-        end, guard = warnings_of(told(faulty, "software", git_dirty="false"))
+        end, guard = warnings_of(with_facts(faulty, "software", git_dirty="false"))
         assert end.startswith("Outcome: fault: the road wheel did not stop in time")
         assert guard.startswith(f"The outputs were taken away at tick {row} (")
         assert guard.endswith("in the phase braking: BRAKING_TIMEOUT.")
@@ -108,8 +108,8 @@ class TestWarnings:
             ("result", {"card": '{"lost_ticks": 3}'}, "3 ticks were decided and are not in the file."),
         ],
     )
-    def test_trouble_in_the_records(self, clean, told, record, facts, words):
-        (found,) = warnings_of(told(clean, record, **facts))
+    def test_trouble_in_the_records(self, clean, with_facts, record, facts, words):
+        (found,) = warnings_of(with_facts(clean, record, **facts))
         assert found.startswith(words)
 
     def test_warnings_of_the_log_but_not_those_that_are_reported_already(self, clean, faulty):
@@ -132,8 +132,8 @@ class TestWarnings:
         assert found[0].startswith("Outcome: recovered: recovered from cut.mcap")
         assert not any(words.startswith("Recovered, with losses") for words in found)
 
-    def test_losses_that_the_card_lacks(self, clean, told):
-        assert "Recovered, with losses: a tick." in warnings_of(told(clean, "recovery", lost="a tick"))
+    def test_losses_that_the_card_lacks(self, clean, with_facts):
+        assert "Recovered, with losses: a tick." in warnings_of(with_facts(clean, "recovery", lost="a tick"))
 
     def test_no_braking_and_no_ticks(self, clean):
         early = replace(clean, ticks=clean.ticks[:10])
@@ -154,16 +154,16 @@ class TestCommands:
             assert verb(*shlex.split(line)[1:]).code == 0
         assert read_session(tmp_path / "again.mcap").payload == session.payload
 
-    def test_a_users_controller_is_extracted_first(self, session, told):
-        mine = told(session, "controller", name="my laws/law.py:Law")
+    def test_a_users_controller_is_extracted_first(self, session, with_facts):
+        mine = with_facts(session, "controller", name="my laws/law.py:Law")
         mine = replace(mine, attachments={**session.attachments, "controller.py": b"class Law: pass"})
         take = f"inteco-abs extract {session.path} controller.py -o law.py"
         assert replay_commands(mine) == [take, f"inteco-abs replay {session.path} --controller law.py:Law"]
         assert take in repeat_commands(mine)
         assert "--controller law.py:Law" in repeat_commands(mine)[-1]
 
-    def test_a_real_board_gets_no_seed(self, session, told):
-        real = told(session, "rig", board="usb2:7", simulated="false", virtual_time="false")
+    def test_a_real_board_gets_no_seed(self, session, with_facts):
+        real = with_facts(session, "rig", board="usb2:7", simulated="false", virtual_time="false")
         assert repeat_commands(real)[-1] == "inteco-abs run --board usb2:7 --config rig.toml --out again.mcap"
 
     def test_names_are_quoted_for_the_shell(self, session, tmp_path):
@@ -171,11 +171,11 @@ class TestCommands:
         (line,) = replay_commands(odd)
         assert shlex.split(line) == ["inteco-abs", "replay", str(odd.path)]
 
-    def test_no_commands_without_configuration_board_or_ticks(self, session, told):
+    def test_no_commands_without_configuration_board_or_ticks(self, session, with_facts):
         bare = replace(session, attachments={})
         assert replay_commands(bare) == repeat_commands(bare) == []
         assert replay_commands(without_ticks(session)) == []
-        assert repeat_commands(told(session, "rig", board="")) == []
+        assert repeat_commands(with_facts(session, "rig", board="")) == []
 
 
 class TestCourses:

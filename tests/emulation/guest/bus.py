@@ -28,7 +28,7 @@ def load(*modules):
 
 
 def start_udev(rules):
-    """Debian's udev with the product's rules: it gives nodes their permissions and tells libusb who comes and goes."""
+    """Debian's udev with the product's rules: it sets permissions and reports plugged devices to libusb."""
     _RULES.mkdir(parents=True)
     (_RULES / "70-inteco-abs.rules").write_text(rules)
     subprocess.run(["/lib/systemd/systemd-udevd", "--daemon", "--resolve-names=early"], check=True)
@@ -64,7 +64,7 @@ def attach(path, bus_id=b"1-1"):
 def favour(server):
     """Let the process that serves the board, and the kernel's threads that carry it, come before ordinary programs:
     they stand for hardware, which waits for no processor. As real-time processes they would take too much: while the
-    loop measures the board without a pause, nobody else would run on the only CPU.
+    loop measures the board without a pause, no other process would run on the only CPU.
     """
     names = {path.parent.name: path.read_text().strip() for path in Path("/proc").glob("[0-9]*/comm")}
     for pid in (server.pid, *(int(pid) for pid, name in names.items() if name in {"vhci_rx", "vhci_tx"})):
@@ -73,7 +73,7 @@ def favour(server):
 
 
 def keep_in_memory(modules):
-    """Import `modules` and read every file that they map: later nobody waits for the host, which would make virtual
+    """Import `modules` and read every file that they map: later no process waits for the host, which would make virtual
     time jump.
     """
     for module in modules:

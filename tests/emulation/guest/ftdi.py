@@ -7,7 +7,7 @@ import time
 
 import serial
 from guest import bus
-from guest.scenario import braking_stop, mock_board, prepare, tell
+from guest.scenario import braking_stop, mock_board, prepare, save
 
 from firmware_protocol.rtdac_usb import FRAME_BYTES, READ_REQUEST
 
@@ -26,10 +26,10 @@ def main():
         report["devices"]["mock"] = bus.facts(folder)
         report["port"] = {"name": tty.name, "latency_timer": (tty / "latency_timer").read_text().strip()}
         report["reading_us"] = {ms: reading_us(tty, ms) for ms in LATENCIES_MS}
-        tell(report)
+        save(report)
         report["stop"] = braking_stop(f"usb:/dev/{tty.name}", "sim_usb", RATE_HZ)
         report["log"] = bus.kernel_log("usb 1-1") + bus.kernel_log("ftdi_sio 1-1")
-    tell(report)
+    save(report)
 
 
 def reading_us(tty, latency_ms):

@@ -56,7 +56,7 @@ def run(kernel, script, results, devices=()):
 
 def output_of(command, patience_s):
     """All that a command has written by its end, or in so many seconds; it never outlives this process."""
-    alone = ["setpriv", "--pdeathsig", "KILL", "--", *command]  # where this process is killed, nobody else would end it
+    alone = ["setpriv", "--pdeathsig", "KILL", "--", *command]  # no other process would end it if this one is killed
     streams = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
     try:
         return subprocess.run(alone, **streams, timeout=patience_s, check=False).stdout.decode(errors="replace")

@@ -1,7 +1,7 @@
 """In the guest: two of QEMU's PCI functions in the place of the RT-DAC4/PCI, by the kernel's own files for them.
 
 `ivshmem-plain` has memory at base address register 2, the host's own file, and `megasas` has 256 I/O ports there, as
-the board is believed to have. Neither can be given the board's ids: the kernel's files with them are covered by files
+the board is assumed to have. Neither can be given the board's ids: the kernel's files with them are covered by files
 with the board's, for the driver, udev and everybody else who asks for them by name. `python -m guest.pci`
 """
 
@@ -14,7 +14,7 @@ from grp import getgrnam
 from pathlib import Path
 
 from guest import bus
-from guest.scenario import SCRATCH, abs_command, tell
+from guest.scenario import SCRATCH, abs_command, save
 
 from firmware_protocol.rtdac_pci import DEVICE_ID, LOGIC, LOGIC_VERSION, VENDOR_ID
 from inteco_abs.boards import open_board
@@ -52,14 +52,14 @@ def main():
     report["stranger"] = {what: as_user([], lambda a=address: read(a, 0)) for what, address in boards.items()}
     report["taken"] = second(memory)
     report["driver"] = as_user([dialout], lambda: driven(f"pci:{memory}"))
-    tell(report)
+    save(report)
     Path("/sys/kernel/security/lockdown").write_text("integrity")
     report["locked"] = {
         "memory": refusal(SysfsRegisters, memory),
         "ports": refusal(lambda: written(ports, MASK_OFFSET, PATTERN)),
     }
     report["log"] = bus.kernel_log("Lockdown")
-    tell(report)
+    save(report)
 
 
 def disguise():
@@ -115,13 +115,13 @@ def as_user(groups, work):
             found = work()
         except AbsError as error:
             found = str(error)
-        except Exception:  # noqa: BLE001 - told to the test
+        except Exception:  # noqa: BLE001 - the test reports it
             found = traceback.format_exc()
         os.write(writer, json.dumps(found).encode())
         os._exit(0)
     os.close(writer)
-    with os.fdopen(reader, "rb") as told:
-        found = json.loads(told.read() or b"null")
+    with os.fdopen(reader, "rb") as source:
+        found = json.loads(source.read() or b"null")
     os.waitpid(child, 0)
     return found
 
@@ -145,7 +145,7 @@ def written(address, offset, value):
 
 
 def second(address):
-    """What a second program is told."""
+    """What a second program is source."""
     registers = SysfsRegisters(address)
     try:
         return as_user([getgrnam("dialout").gr_gid], lambda: read(address, 0))

@@ -75,7 +75,7 @@ def braking_stop(board, profile, rate_hz):
     return found
 
 
-def tell(report):
+def save(report):
     """Leave the report for the host, also when a later step fails."""
     (RESULTS / "report.json").write_text(json.dumps(report, indent=1))
     os.sync()

@@ -7,7 +7,7 @@ import traceback
 import usb.core
 from check_list import CHECKS, Bench
 from guest import bus
-from guest.scenario import SCRATCH, braking_stop, mock_board, prepare, tell
+from guest.scenario import SCRATCH, braking_stop, mock_board, prepare, save
 
 from firmware_protocol.rtdac_usb2_bridge import VENDOR_ID
 from inteco_abs.mock_board import UsbSpeed
@@ -21,12 +21,12 @@ def main():
     prepare(["inteco_abs.boards.transports.usb_async"])
     for speed in UsbSpeed:
         check_list(report, speed)
-        tell(report)
+        save(report)
     with mock_board() as folder:
         report["devices"]["mock"] = bus.facts(folder)
         report["stop"] = braking_stop("usb2:", "sim_usb2", RATE_HZ)
         report["log"] = bus.kernel_log("usb 1-1")
-    tell(report)
+    save(report)
 
 
 def check_list(report, speed):
@@ -41,7 +41,7 @@ def check_list(report, speed):
         for check, function in CHECKS.items():
             try:
                 function(bench)
-            except Exception:  # noqa: BLE001 - told to the test
+            except Exception:  # noqa: BLE001 - the test reports it
                 results[check] = traceback.format_exc()
             else:
                 results[check] = None
