@@ -1,9 +1,11 @@
 """The verb `inteco-abs sweep`, as a lab uses it."""
 
+import contextlib
 import csv
 import errno
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -89,6 +91,14 @@ def test_stops_that_fail_are_reported_and_the_others_scored(inteco_abs, tmp_path
         (["--set", "simulation.rig=hard:2"], ["simulation", "--rigs"]),
         (["--figure", "x.bmp"], ["--figure", "x.bmp"]),
         (["--csv", "x.svg", "--figure", "x.svg"], ["--figure", "--csv"]),
+        (["--work", "nowhere"], ["--work", "nowhere", "not the folder of a sweep"]),
+        (["--show", "nowhere"], ["--show", "nowhere", "not the folder of a sweep"]),
+        (["--work", "x", "--rigs", "hard:1", "--json"], ["--rigs: changes nothing with --work", "--json: changes"]),
+        (["--show", "x", "--jobs", "2"], ["--jobs: changes nothing with --show"]),
+        (["--store", "x", "--prepare", "--csv", "x.csv"], ["--csv: changes nothing with --prepare"]),
+        (["--part", "1/2"], ["--part: needs --work"]),
+        (["--prepare"], ["--prepare: needs --store"]),
+        (["--executor", "dask=tcp://here:1"], ["--executor: needs --store DIR or --work DIR"]),
     ],
 )
 def test_wrong_input_gets_one_clear_answer(monkeypatch, tmp_path, arguments, words):
@@ -151,28 +161,119 @@ def test_the_command_itself_loads_no_numba():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-HANGING = """
+WAITING = """
+import os, time
+from inteco_abs.signals import BrakeDemand
 class Law:
     gains = ()
     internals = ()
     def __init__(self, setup):
         pass
     def update(self, estimate, dt_s):
-        open("hanging", "w").close()
-        while True:
-            pass
+        while len(os.listdir("folder/part")) > 1 and not os.path.exists("go"):
+            open("waiting", "w").close()
+            time.sleep(0.01)
+        return BrakeDemand(0.6)
 """
+"""Waits when two units are done."""
 
 
-def test_ctrl_c_ends_busy_workers(command_path, tmp_path):
-    (tmp_path / "law.py").write_text(HANGING)
+@pytest.mark.parametrize("jobs", [pytest.param(1, marks=pytest.mark.long), 2])
+def test_ctrl_c_ends_busy_workers_and_the_same_command_continues(inteco_abs, command_path, tmp_path, jobs):
+    (tmp_path / "law.py").write_text(WAITING)
+    command = ("sweep", *QUICK, "--rigs", "hard:5-44", "--controller", "law.py:Law", "--jobs", str(jobs))
+    command = (*command, "--store", "folder", "--json")
     sweep = subprocess.Popen(
-        [command_path, "sweep", *QUICK, "--rigs", "hard:5-44", "--controller", "law.py:Law", "--jobs", "2"],
-        cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    while sweep.poll() is None and not (tmp_path / "hanging").exists():
+        [command_path, *command], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    while sweep.poll() is None and not (tmp_path / "waiting").exists():
         time.sleep(0.02)
     sweep.send_signal(signal.SIGINT)
     stdout, stderr = sweep.communicate(timeout=60)
     assert (sweep.returncode, stdout) == (130, ""), stderr
     assert "Traceback" not in stderr
+    assert 2 <= len(list((tmp_path / "folder" / "part").iterdir())) <= 4
+    (tmp_path / "go").touch()
+    again = inteco_abs(*command, check=0)
+    assert [row["stops"] for row in json.loads(again.stdout)["rows"]] == [2, 40]
+    assert int(re.search(r"^(\d+) stops, ", again.stderr, re.MULTILINE)[1]) < 42
+    assert inteco_abs("sweep", "--show", "folder", "--json", check=0).stdout == again.stdout
+
+
+KILLED = """
+import os, signal
+from inteco_abs.signals import BrakeDemand
+class Law:
+    gains = ()
+    internals = ()
+    def __init__(self, setup):
+        self.ticks = 0
+    def update(self, estimate, dt_s):
+        self.ticks += 1
+        if self.ticks == 100 and not os.path.exists("killed"):
+            open("killed", "w").close()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return BrakeDemand(0.6)
+"""
+
+
+@pytest.mark.long
+def test_a_worker_that_is_killed_in_a_unit_changes_nothing(inteco_abs, tmp_path):
+    (tmp_path / "law.py").write_text(KILLED)
+    command = ("sweep", *QUICK, "--rigs", "hard:5-24", "--controller", "law.py:Law", "--jobs", "2", "--csv")
+    disturbed = inteco_abs(*command, "disturbed.csv", check=0)
+    assert (tmp_path / "killed").exists()
+    undisturbed = inteco_abs(*command, "undisturbed.csv", check=0)
+    assert disturbed.stdout == undisturbed.stdout
+    assert (tmp_path / "disturbed.csv").read_bytes() == (tmp_path / "undisturbed.csv").read_bytes()
+
+
+@pytest.fixture
+def dask(tmp_path):
+    """Address of a scheduler with two workers, each a process that nothing restarts."""
+    place = tmp_path / "scheduler.json"
+    common = ("--no-dashboard", "--scheduler-file", place)
+    with contextlib.ExitStack() as stack:
+
+        def start(kind, *options):
+            words = [sys.executable, "-m", f"distributed.cli.dask_{kind}", *common, *options]
+            process = stack.enter_context(subprocess.Popen(words, cwd=tmp_path, stderr=subprocess.DEVNULL))
+            stack.callback(process.kill)
+            return process
+
+        start("scheduler", "--host", "127.0.0.1", "--port", "0")
+        while not place.exists():
+            time.sleep(0.1)
+        workers = [start("worker", "--no-nanny", "--nthreads", "1", "--host", "127.0.0.1") for _ in range(2)]
+        yield json.loads(place.read_text())["address"], workers
+
+
+@pytest.mark.long
+def test_a_worker_of_dask_that_is_killed_in_a_unit_changes_nothing(inteco_abs, dask, tmp_path):
+    address, workers = dask
+    (tmp_path / "law.py").write_text(KILLED)
+    command = ("sweep", *QUICK, "--rigs", "hard:5-44", "--controller", "law.py:Law", "--json", "--csv")
+    disturbed = inteco_abs(*command, "disturbed.csv", "--store", "dir", "--executor", f"dask={address}", check=0)
+    assert [worker.poll() is None for worker in workers].count(False) == 1
+    undisturbed = inteco_abs(*command, "undisturbed.csv", check=0)
+    assert disturbed.stdout == undisturbed.stdout
+    assert (tmp_path / "disturbed.csv").read_bytes() == (tmp_path / "undisturbed.csv").read_bytes()
+
+
+def test_computers_share_a_folder_by_parts(main_here, tmp_path):
+    (tmp_path / "own.py").write_text(OWN)
+    own = ("--controller", "own.py:Own", "--set", "controller.gains.duty=0.7,0.8")
+    main_here("sweep", *QUICK, *own, "--store", "shared", "--prepare", check=0)
+    (tmp_path / "own.py").unlink()  # its source is in the folder
+    assert "0 of 4 stops so far" in main_here("sweep", "--show", "shared", check=0).stderr
+    second = main_here("sweep", "--work", "shared", "--part", "2/2", "--jobs", "1", check=0)
+    assert "2 stops, " in second.stderr
+    assert second.stdout == ""
+    table = main_here("sweep", "--show", "shared", "--csv", "first.csv", check=0)
+    assert "duty=0.8" in table.stdout
+    assert "duty=0.7" not in table.stdout
+    assert "2 of 4 stops so far" in table.stderr
+    main_here("sweep", "--work", "shared", "--part", "1/2", "--jobs", "1", check=0)
+    complete = main_here("sweep", "--show", "shared", "--csv", "all.csv", "--figure", "rms.svg", check=0)
+    assert "so far" not in complete.stderr
+    assert len((tmp_path / "all.csv").read_text().splitlines()) == 5
