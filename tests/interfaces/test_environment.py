@@ -6,19 +6,22 @@ import sys
 import gymnasium
 import numpy as np
 import pytest
+from ensemble_parts import Shell
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import SyncVectorEnv
 
 from inteco_abs.config import load_config
-from inteco_abs.control import control_check, make_controller
+from inteco_abs.control import ESTIMATORS, control_check, make_controller, make_estimator
 from inteco_abs.errors import AbsError, ConfigError
+from inteco_abs.interfaces import braking, environment
 from inteco_abs.interfaces.environment import NAME, BrakingEnv, BrakingVectorEnv, Truth
 from inteco_abs.montecarlo import run_stops
 from inteco_abs.rig import POPULATIONS, draw
 from inteco_abs.signals import Estimate
 
 pytestmark = pytest.mark.untraced
+compiles = pytest.mark.xdist_group("compiled")
 
 
 def stop(env, policy, **reset):
@@ -43,6 +46,7 @@ def test_gymnasiums_own_checker_finds_nothing(choices):
     check_env(gymnasium.make(NAME, **choices).unwrapped)
 
 
+@compiles
 def test_a_shipped_law_as_agent_brakes_as_it_does_in_a_monte_carlo_run():
     """At one tick per action, bit for bit: with delay, encoder noise, dead time and guard."""
     config = load_config(checks=[control_check()])
@@ -74,12 +78,20 @@ def together(envs, actions, **reset):
         yield *rest, observations, info
 
 
+@compiles
 @pytest.mark.parametrize(
     "choices",
     [
-        {"population": "hard", "longest_s": 0.4},
-        {"population": "rough", "action": "torque", "settings": ["estimator.name=kalman"], "longest_s": 0.3},
+        {"population": "hard", "action": "torque", "longest_s": 0.4},
         {"population": "slow", "run_up_from_rad_s": 179.0, "ticks_per_action": 7},
+        *(
+            pytest.param(
+                {"population": "rough", "settings": [f"estimator.name={name}"], "longest_s": 0.3},
+                marks=pytest.mark.long,
+                id=name,
+            )
+            for name in ESTIMATORS
+        ),
     ],
 )
 def test_many_at_once_have_the_bits_of_one_at_a_time_over_restarts_too(choices):
@@ -109,6 +121,20 @@ def test_the_same_seed_is_the_same_stop_and_another_seed_another_rig(population)
     assert population == "nominal" or not np.array_equal(first[0], other[0])
 
 
+@compiles
+def test_an_estimator_that_is_a_class_runs_in_python_with_the_same_bits(monkeypatch):
+    function = BrakingVectorEnv(2)
+    for module in (braking, environment):
+        monkeypatch.setattr(module, "make_estimator", lambda config: Shell(make_estimator(config)))
+    of_class = BrakingVectorEnv(2)
+    for envs in (function, of_class):
+        envs.reset(seed=1)
+    for _ in range(5):
+        ours, theirs = (envs.step(np.full((2, 1), 0.6))[0] for envs in (function, of_class))
+        assert ours.tobytes() == theirs.tobytes()
+
+
+@compiles
 def test_a_rig_may_be_named_and_unnamed_ones_follow_from_the_seed():
     env = BrakingEnv(longest_s=0.05)
     assert env.reset(seed=1, options={"rig_seed": 17})[1]["rig"] == "hard:17"
@@ -123,6 +149,7 @@ def test_a_rig_may_be_named_and_unnamed_ones_follow_from_the_seed():
         vector.reset(options={"rig_seed": [5]})
 
 
+@compiles
 @pytest.mark.parametrize("make", [BrakingEnv, BrakingVectorEnv])
 def test_an_action_that_is_not_a_number_ends_the_stop_with_the_guards_reason(make):
     env = make()
@@ -206,6 +233,13 @@ def test_a_wrong_argument_is_refused_with_its_range(choices, message):
         BrakingEnv(**choices)
 
 
+def test_a_configuration_comes_from_a_file(tmp_path):
+    (tmp_path / "rig.toml").write_text("[controller]\nreference_slip = 0.3\n[experiment]\nstart_speed_rad_s = 100.0\n")
+    _, info = BrakingEnv(config=tmp_path / "rig.toml", settings=["controller.reference_slip=0.25"]).reset(seed=1)
+    assert info["reference_slip"] == 0.25
+    assert info["road_speed_rad_s"] == pytest.approx(100.0, abs=1.5)
+
+
 def test_a_wrong_setting_is_the_error_of_a_configuration():
     with pytest.raises(ConfigError, match="no estimator 'kalmann'"):
         BrakingEnv(settings=["estimator.name=kalmann"])
@@ -226,6 +260,7 @@ def test_without_gymnasium_the_error_names_the_extra():
     assert "AbsError: the environments need Gymnasium: pip install 'inteco-abs[gym]'" in done.stderr
 
 
+@compiles
 def test_without_numba_many_at_once_run_in_python():
     code = (
         "import sys; sys.modules['numba'] = None\n"
