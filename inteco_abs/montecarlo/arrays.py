@@ -18,8 +18,8 @@ from inteco_abs.rig.state import Constants, State
 Rows = NDArray[np.void]
 
 _DISC: Final = np.dtype([(field.name, np.float64) for field in fields(EncoderVariation)])
-_TYPES: Final = {"int": np.int64, "bool": np.bool_, "EncoderVariation": _DISC}
-_OWN_TYPES: Final = {"brake_pwm_steps": np.float64, "noise_seed": np.uint64}
+_TYPES: Final = {"int": np.int64, "Word": np.uint64, "bool": np.bool_, "EncoderVariation": _DISC}
+_OWN_TYPES: Final = {"brake_pwm_steps": np.float64}
 
 
 def _row_type(kind: type[Any]) -> np.dtype[np.void]:

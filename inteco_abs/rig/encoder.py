@@ -6,7 +6,7 @@ import math
 from typing import Final
 
 from inteco_abs import elementary
-from inteco_abs.rig.rng import WORD, mixed, normal_pair
+from inteco_abs.rig.rng import WORD, Word, mixed, normal_pair
 from inteco_abs.rig.variation import EncoderVariation, RigVariation
 
 _TURN_RAD: Final = 2.0 * math.pi
@@ -43,6 +43,6 @@ def count(disc: EncoderVariation, angle_rad: float, noise: float) -> int:
     return math.floor(position)
 
 
-def noise_seed(variation: RigVariation) -> int:
+def noise_seed(variation: RigVariation) -> Word:
     """Seed of the noise of both encoders, each of which takes one number of every pair."""
     return mixed(variation.seed ^ WORD)

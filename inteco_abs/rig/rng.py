@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Final, TypeAlias
 
 from inteco_abs import elementary
 
+Word: TypeAlias = int
+"""A number of 64 bits, without a sign."""
 WORD: Final = (1 << 64) - 1
 _GOLDEN: Final = 0x9E3779B97F4A7C15
 """Odd, near 2^64 divided by the golden ratio: the step from one state to the next."""
 
 
-def mixed(word: int) -> int:
-    """`word` (64 bit) with every bit of it spread over all bits of the result, one to one."""
+def mixed(word: Word) -> Word:
+    """`word` with every bit of it spread over all bits of the result, one to one."""
     word = (word ^ word >> 30) * 0xBF58476D1CE4E5B9 & WORD
     word = (word ^ word >> 27) * 0x94D049BB133111EB & WORD
     return word ^ word >> 31
@@ -43,7 +45,7 @@ class SplitMix64:
         return low + (high - low) * ((self.word() >> 11) * 2.0**-53)
 
 
-def normal_pair(seed: int, number: int) -> tuple[float, float]:
+def normal_pair(seed: Word, number: int) -> tuple[float, float]:
     """Pair `number` (1, 2, ...) of a standard normal sequence: Box and Muller on one word."""
     word = mixed(seed + number * _GOLDEN & WORD)
     radius = math.sqrt(-2.0 * elementary.log(((word >> 32) + 1) * 2.0**-32))

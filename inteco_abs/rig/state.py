@@ -9,6 +9,7 @@ from inteco_abs import elementary
 from inteco_abs.rig.actuators import DriveMotor
 from inteco_abs.rig.encoder import noise_seed
 from inteco_abs.rig.parameters import RigParameters
+from inteco_abs.rig.rng import Word
 from inteco_abs.rig.variation import EncoderVariation, RigVariation
 
 
@@ -37,7 +38,7 @@ class Constants(RigParameters):
     """Lever's length times the sine of its angle, m."""
     L_cos: float
     measured_map: bool
-    noise_seed: int
+    noise_seed: Word
     plain: bool
     """Whether commands act at once and the adhesion has no step, as in `RigVariation.plain_plant`."""
 
