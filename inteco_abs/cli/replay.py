@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
@@ -19,10 +19,16 @@ if TYPE_CHECKING:
     from inteco_abs.plugins import Controllers, Origin
     from inteco_abs.sessions import Session
 
+_RECORDED: Final = "recorded"
+
 
 @click.command()
 @click.argument("file", type=FILE)
-@click.option("--controller", help="Your own controller as file.py:Class, if the session was run with one.")
+@click.option(
+    "--controller",
+    help="Your own controller as file.py:Class, if the session was run with one; `recorded` runs the code that the "
+    "session keeps.",
+)
 @click.option(
     "--tol",
     "tolerances",
@@ -87,31 +93,58 @@ def controllers_for(session: Session, controller: str | None) -> Controllers:
     """Controllers with the session's among them, or `controller` in its place. Raises ConfigError if there is none."""
     from inteco_abs.plugins import FROM_FILE, Controllers
 
-    controllers = known_controllers(controller)
     recorded = session.metadata.get("controller", {})
     name, package = recorded.get("name", ""), recorded.get("package", "")
+    if controller == _RECORDED:
+        return _kept_controllers(session, name)
+    controllers = known_controllers(controller)
     if controller is not None:
         if controller not in controllers:
             raise ConfigError.of("--controller", f"no controller {controller!r}{near_match(controller, controllers)}")
         controllers = Controllers({name: (controllers[controller], controllers.origin(controller))})
     elif FROM_FILE in name:
-        raise ConfigError.of("--controller", f"the session was run with {name!r}; name that file to replay it")
+        hint = f"name that file to replay it, or {_RECORDED} to run the code that the session keeps"
+        problem = f"the session was run with {name!r}; {hint}"
+        raise ConfigError.of("--controller", problem)
     elif package and name not in controllers:
         problem = f"the session was run with {name!r} of the package {package!r}, which is not installed; install it"
         raise ConfigError.of("--controller", problem)
     if name in controllers:
-        _report_other(controllers.origin(name), session.attachments.get("controller.py"), package)
+        _report_other(controllers.origin(name), _kept_source(session), package)
     return controllers
+
+
+def _kept_controllers(session: Session, name: str) -> Controllers:
+    """The session's own controller, from the code and files that it keeps. Raises ConfigError if there is none."""
+    from inteco_abs.experiment import time_limit
+    from inteco_abs.plugins import FROM_FILE, Controllers, Origin, load_controller
+
+    source = _kept_source(session)
+    if FROM_FILE not in name or source is None:
+        problem = f"{_RECORDED}: {session.path} keeps no controller of a file; leave the option out"
+        raise ConfigError.of("--controller", problem)
+    with time_limit():
+        kind, _ = load_controller(name, source)
+    return Controllers({name: (kind, Origin(source))})
+
+
+def _kept_source(session: Session) -> bytes | None:
+    """Source of the session's controller, with the files beside it if there are."""
+    from inteco_abs.sessions import CONTROLLER_FILES, CONTROLLER_SOURCE
+
+    return session.attachments.get(CONTROLLER_FILES, session.attachments.get(CONTROLLER_SOURCE))
 
 
 def _report_other(origin: Origin, source: bytes | None, package: str) -> None:
     """Warn if the controller is not the one that the session was run with."""
+    from inteco_abs.plugins import differs
+
     if package not in {"", origin.package}:
         say(
             f"inteco-abs: the session was run with {package}; this is {origin.package or 'another controller'}",
             err=True,
         )
-    if source not in {None, origin.source}:
+    if source is not None and differs(origin.source, source):
         say("inteco-abs: the controller's source differs from the session's", err=True)
 
 

@@ -65,16 +65,30 @@ def run(
     stop = brake(rig, plan, options)
     try:
         if as_json:
-            print_json(stop.card)
+            problem = _replay_problem(rig, plan, stop)
+            print_json(stop.card | ({"replay_problem": problem} if problem else {}))
         elif not options.quiet:
             from inteco_abs.analysis import previous_card
 
             print_card(stop.card, stop.explanation, previous_card(stop.card))
         report_end(stop)
+        problem = problem if as_json else _replay_problem(rig, plan, stop)  # the card does not wait for it
+        if problem:
+            say(f"inteco-abs: {problem}", err=True)
     except OSError:  # the terminal is gone; the exit code still counts
         sys.stdout = sys.stderr = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115  until the process ends
         return stop.exit_code or 1
     return _drawn(stop, figure)
+
+
+def _replay_problem(rig: RigConfig, plan: Plan, stop: RunResult) -> str:
+    """Why the run will not replay; an interrupt ends the check, as the run is over."""
+    from inteco_abs.experiment import replay_problem
+
+    try:
+        return replay_problem(rig, plan, stop)
+    except KeyboardInterrupt:
+        return f"interrupted while checking whether the decisions replay; {stop.card['session']} is complete"
 
 
 def brake(rig: RigConfig, plan: Plan, options: RunOptions) -> RunResult:

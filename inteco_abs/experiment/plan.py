@@ -43,7 +43,7 @@ class Plan:
     seed: int = 0
     controllers: Mapping[str, type[Controller]] = field(default_factory=lambda: CONTROLLERS)
     controller_source: bytes = b""
-    """Source of a user's controller, kept in the session; in real time it runs in another process."""
+    """Source of a user's controller, with the files beside it; the session keeps it, another process runs it."""
     wire: Path | None = None
     """Capture to write, with all messages between host and board."""
     frames: bool = False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from contextlib import redirect_stdout
+from dataclasses import replace
 
 from inteco_abs.config import RigConfig
 from inteco_abs.control import build_pipeline
@@ -11,6 +12,7 @@ from inteco_abs.experiment.plan import Plan, RunProgress, run_checks
 from inteco_abs.experiment.real_time import run_in_real_time
 from inteco_abs.experiment.user_code import time_limit
 from inteco_abs.experiment.virtual_run import Interrupts, VirtualRun
+from inteco_abs.plugins import with_files
 from inteco_abs.realtime import NoScreen, SafeScreen, Screen, handle_signals
 from inteco_abs.sessions import RunResult, check_output
 
@@ -31,6 +33,7 @@ def run_stop(
     with redirect_stdout(sys.stderr):
         with time_limit():
             pipeline = build_pipeline(config, plan.controllers)
+        plan = replace(plan, controller_source=with_files(config.controller.name, plan.controller_source))
         if not plan.virtual:
             return run_in_real_time(config, plan, screen or NoScreen())
         interrupts, screen = Interrupts(), SafeScreen(screen or NoScreen())

@@ -4,7 +4,7 @@ from inteco_abs.format import TICK, TRUTH, pack_tick
 from inteco_abs.sessions.attachments import attached, extract
 from inteco_abs.sessions.card import aligned_truth, card_of, link_errors, result_card, stored_card
 from inteco_abs.sessions.container import DamagedError
-from inteco_abs.sessions.content import CONFIG_NAME, RECOVERED
+from inteco_abs.sessions.content import CONFIG_NAME, CONTROLLER_FILES, CONTROLLER_SOURCE, RECOVERED
 from inteco_abs.sessions.environment import Environment, current_environment
 from inteco_abs.sessions.export import FORMATS, Export, export_session
 from inteco_abs.sessions.failover_writer import FailoverWriter, Opener, check_spill, joined, spill_path
@@ -38,6 +38,8 @@ from inteco_abs.sessions.validation import Inspection, SessionIssue, Severity, v
 
 __all__ = [
     "CONFIG_NAME",
+    "CONTROLLER_FILES",
+    "CONTROLLER_SOURCE",
     "EXIT_CODES",
     "FORMATS",
     "LOSSES",

@@ -29,6 +29,10 @@ from inteco_abs.sessions.migration import MessageLayout, message_layout, newer
 from inteco_abs.sessions.storage import Rows
 
 CONFIG_NAME: Final = "config.toml"
+CONTROLLER_SOURCE: Final = "controller.py"
+"""Source of a user's controller."""
+CONTROLLER_FILES: Final = "controller.zip"
+"""The same with the files beside it that it loads."""
 """Name of the attachment with the configuration of the run."""
 RECOVERED: Final = "recovered"
 """Outcome of a session that was recovered from a damaged file."""

@@ -14,12 +14,13 @@ from inteco_abs.errors import CaptureError
 from inteco_abs.format import TICK, TRUTH
 from inteco_abs.rig import nominal_parameters
 from inteco_abs.sessions.card import RunningCard
-from inteco_abs.sessions.content import CONFIG_NAME
+from inteco_abs.sessions.content import CONFIG_NAME, CONTROLLER_FILES, CONTROLLER_SOURCE
 from inteco_abs.sessions.environment import Environment
 from inteco_abs.sessions.file_writer import FileWriter
 from inteco_abs.sessions.frames import Frames, frame_facts, packed_frames
 from inteco_abs.sessions.provenance import controller_facts
 from inteco_abs.signals import EXPLANATIONS, Reason
+from inteco_abs.source_files import unpacked
 
 _OUTCOMES: Final = {Reason.NONE: "completed", Reason.OPERATOR_STOP: "interrupted"}
 EXIT_CODES: Final = {"fault": 5, "aborted": 5, "interrupted": 130}
@@ -43,7 +44,7 @@ class RunHeader:
     internals: Sequence[str]
     """Names of the controller's values c0..c3."""
     controller_source: bytes
-    """Empty for a shipped controller."""
+    """With the files beside it, as `SourceFiles.packed` has them; empty for a shipped controller."""
     facts: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     """More metadata: software, host, real-time settings."""
     controller_package: str = ""
@@ -133,14 +134,16 @@ class SessionWriter:
                 "virtual_time": str(header.virtual).lower(),
             },
         )
-        source = header.controller_source
+        source = unpacked(header.controller_source).source
         digest = hashlib.sha256(source).hexdigest() if source else ""
         recorder.describe("controller", controller_facts(config, header.gains, digest, header.controller_package))
         recorder.attach(CONFIG_NAME, "application/toml", config.to_toml().encode())
         if header.profile:
             recorder.attach("profile.toml", "application/toml", header.profile)
         if source:
-            recorder.attach("controller.py", "text/x-python", source)
+            recorder.attach(CONTROLLER_SOURCE, "text/x-python", source)
+        if source != header.controller_source:
+            recorder.attach(CONTROLLER_FILES, "application/zip", header.controller_source)
         self._enclose()
         recorder.begin({"reference_slip": config.controller.reference_slip, **header.gains})
 

@@ -17,6 +17,7 @@ from inteco_abs.plugins import Controllers, Origin, load_controller
 from inteco_abs.realtime.processes import controller as isolated
 from inteco_abs.realtime.processes.controller import IsolatedController
 from inteco_abs.signals import Estimate, Prediction
+from inteco_abs.source_files import SourceFiles
 
 LAW = """
 import math, os, signal, sys, threading, time
@@ -118,6 +119,16 @@ def test_it_answers_with_the_same_bits_as_in_this_process(law):
         assert all(type(value) is float for value in (*answer[:3], *answer.internals))
     assert process.gains == (Gain("duty", 0.7, 0.0, 1.0, "1", "of the brake"),)
     assert process.internals == ("calls", "road")
+
+
+@pytest.mark.usefixtures("patient")
+def test_it_has_the_files_that_were_kept_with_its_source():
+    source = LAW.format("from my_gains import K", "pass", "return BrakeDemand(K)").encode()
+    process = IsolatedController(NAME, SourceFiles(source, {"my_gains.py": b"K = 0.25"}).packed("law.py"), HERE)
+    try:
+        assert make_controller(named(), {NAME: process}).update(ESTIMATES[0], 5e-4).brake == 0.25
+    finally:
+        process.close()
 
 
 @pytest.mark.usefixtures("patient")

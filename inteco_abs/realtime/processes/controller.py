@@ -27,7 +27,7 @@ from typing import IO, Any, Final, cast
 
 from inteco_abs.control import CONTROLLERS, Controller, Gain, Setup, recordable
 from inteco_abs.errors import BoardError, ConfigError, ConfigIssue, ControllerError, describe_error
-from inteco_abs.plugins import FROM_FILE, LOADING_MOST_S, Controllers, load_controller
+from inteco_abs.plugins import FROM_FILE, LOADING_MOST_S, Controllers, late_files, load_controller, with_files
 from inteco_abs.realtime.heartbeat import NO_MORE
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.processes import ENTRY
@@ -229,16 +229,20 @@ def _serve(requests: int, replies: int) -> None:
     resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))  # without root's rights nothing here rises above the loop
     _write(replies, {})
     _answer(requests, replies, controller)
+    for file in late_files():
+        sys.stderr.write(f"inteco-abs: the controller opened {file} while it ran: the session does not keep that\n")
 
 
 def _make_controller(requests: int, replies: int) -> Controller | None:
     """Return the requested controller; None after an error, which was written as the answer."""
     with os.fdopen(requests, "rb", closefd=False) as orders:
         try:
-            kind: Any = _load(*pickle.load(orders))  # noqa: S301  it comes from the trusted parent
+            name, source = pickle.load(orders)  # noqa: S301  it comes from the trusted parent
+            kind: Any = _load(name, source)
             _write(replies, {"gains": kind.gains, "internals": kind.internals})
             setup, gains = pickle.load(orders)  # noqa: S301
             controller: Controller = kind(setup, **gains)
+            with_files(name, source)
         except EOFError:  # the parent has ended
             return None
         except ConfigError as error:

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import shlex
 from pathlib import PurePath
-from typing import Final
 
 from inteco_abs.plugins import FROM_FILE
-from inteco_abs.sessions import CONFIG_NAME, Session
-
-_SOURCE: Final = "controller.py"
+from inteco_abs.sessions import CONFIG_NAME, CONTROLLER_FILES, CONTROLLER_SOURCE, Session
 
 
 def replay_commands(session: Session) -> list[str]:
@@ -38,8 +35,11 @@ def repeat_commands(session: Session) -> list[str]:
 
 def _extract_controller(session: Session) -> list[str]:
     name = _own_file(session)
-    kept = name and _SOURCE in session.attachments
-    return [_line("extract", str(session.path), _SOURCE, "-o", name)] if kept else []
+    if name and CONTROLLER_FILES in session.attachments:
+        unzip = shlex.join(["python3", "-m", "zipfile", "-e", CONTROLLER_FILES, "."])
+        return [_line("extract", str(session.path), CONTROLLER_FILES, "-o", CONTROLLER_FILES), unzip]
+    kept = name and CONTROLLER_SOURCE in session.attachments
+    return [_line("extract", str(session.path), CONTROLLER_SOURCE, "-o", name)] if kept else []
 
 
 def _controller(session: Session) -> list[str]:

@@ -1,0 +1,44 @@
+"""A controller's source and the files beside it as one value, which travels to other processes and into the session."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Mapping
+from typing import Final, NamedTuple
+
+_ZIP: Final = b"PK\x03\x04"
+MOST_BYTES: Final = 10_000_000
+"""Of all files beside a controller."""
+
+
+class SourceFiles(NamedTuple):
+    """A source and the files that it loads, by their paths below its folder."""
+
+    source: bytes
+    files: Mapping[str, bytes]
+
+    def packed(self, name: str) -> bytes:
+        """The source itself or, with files, a zip archive that begins with the source under this name."""
+        if not self.files:
+            return self.source
+        buffer = io.BytesIO()
+        with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+            for path, content in [(name, self.source), *sorted(self.files.items())]:
+                archive.writestr(zipfile.ZipInfo(path), content, zipfile.ZIP_DEFLATED)  # without its time: same bytes
+        return buffer.getvalue()
+
+
+def unpacked(data: bytes) -> SourceFiles:
+    """What `packed` made `data` of. Raises ValueError for a damaged archive, or one that is too large unpacked."""
+    if not data.startswith(_ZIP):
+        return SourceFiles(data, {})
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            parts = archive.infolist()
+            if sum(part.file_size for part in parts) > 2 * MOST_BYTES:
+                raise ValueError(f"has more than {2 * MOST_BYTES / 1e6:.0f} MB unpacked")
+            first, *others = parts
+            return SourceFiles(archive.read(first), {part.filename: archive.read(part) for part in others})
+    except (zipfile.BadZipFile, NotImplementedError, EOFError) as error:
+        raise ValueError(f"damaged archive: {error}") from error
