@@ -6,7 +6,9 @@ Importing this module registers `inteco_abs/Braking-v0` for `gymnasium.make` and
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from importlib.util import find_spec
+from operator import index
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
@@ -17,7 +19,8 @@ from inteco_abs.config import RigConfig, load_config
 from inteco_abs.control import control_check, function_of, make_estimator
 from inteco_abs.errors import AbsError
 from inteco_abs.interfaces.braking import Clock, Ending, PythonStops, Stops
-from inteco_abs.rig import POPULATIONS, brake_duty, brake_torque, draw, nominal_parameters
+from inteco_abs.rig import LONGEST_BRAKING_S, POPULATIONS, brake_duty, brake_torque, draw, nominal_parameters
+from inteco_abs.sessions import LOCKED_SLIP, LOWEST_RAD_S
 from inteco_abs.signals import EXPLANATIONS, Reason
 
 try:
@@ -37,12 +40,7 @@ Info = dict[str, Any]
 NAME: Final = "inteco_abs/Braking-v0"
 FASTEST_RAD_S: Final = 1000.0
 """Bound of an estimated speed: no wheel exceeds 300 rad/s, but the difference of two counts may for a moment."""
-LONGEST_S: Final = 4.0
-"""No rig of any population that is braked at all takes half as long."""
-LOCK_PENALTY: Final = 1.0
-_LOCKED_SLIP: Final = 0.9
-"""As for the metric `lock_fraction`, also above this speed only:"""
-_LOCK_ABOVE_RAD_S: Final = 10.0
+_LOCK_PENALTY: Final = 1.0
 
 
 class Truth(NamedTuple):
@@ -66,10 +64,53 @@ Reward = Callable[[Truth], Any]
 
 
 def slip_reward(truth: Truth) -> Any:
-    """Minus the squared slip error, and minus LOCK_PENALTY for a slip above 0.9 while the road is above 10 rad/s."""
+    """Minus the squared slip error, and minus 1 for a locked wheel: slip above 0.9 while the road is above 10 rad/s."""
     slip_error = truth.slip - truth.reference_slip
-    locked = (truth.slip > _LOCKED_SLIP) & (truth.road_speed_rad_s > _LOCK_ABOVE_RAD_S)
-    return -(slip_error * slip_error) - LOCK_PENALTY * locked
+    locked = (truth.slip > LOCKED_SLIP) & (truth.road_speed_rad_s > LOWEST_RAD_S)
+    return -(slip_error * slip_error) - _LOCK_PENALTY * locked
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BrakingChoices:
+    """Arguments of both environments, by name. Raises ValueError for what is out of range, ConfigError for settings."""
+
+    population: str = "hard"
+    """Of the rigs that are drawn."""
+    config: str | Path | None = None
+    """A rig.toml; None: the defaults."""
+    settings: Sequence[str] = ()
+    """As for `--set`, such as `["estimator.name=kalman"]`."""
+    action: Literal["duty", "torque"] = "duty"
+    """What an action in 0..1 is: the brake's duty, or a torque as a share of that at full duty (9.03 N m), which the
+    straight line of the nominal brake turns into a duty."""
+    ticks_per_action: int = 10
+    """Periods of the loop (`loop.rate_hz`) for which an action is held: at least 1, at most one second."""
+    run_up_from_rad_s: float | None = None
+    """Road speed from which the drive accelerates the wheels, from 0 to `experiment.start_speed_rad_s`; None: from the
+    start speed itself, which takes the 20 ms that estimators need."""
+    longest_s: float = LONGEST_BRAKING_S
+    """Braking for so long truncates a stop; above 0, at most `experiment.braking_timeout_s`."""
+    reward: Reward = slip_reward
+
+    def load(self) -> RigConfig:
+        """The configuration, with which the other choices go together."""
+        if self.population not in POPULATIONS:
+            raise ValueError(f"population {self.population!r}: must be one of {', '.join(POPULATIONS)}")
+        if self.action not in {"duty", "torque"}:
+            raise ValueError(f"action {self.action!r}: must be 'duty' or 'torque'")
+        config = load_config(None if self.config is None else Path(self.config), self.settings, [control_check()])
+        most, start = int(config.loop.rate_hz), config.experiment.start_speed_rad_s
+        if self.ticks_per_action not in range(1, most + 1):
+            raise ValueError(f"ticks_per_action = {self.ticks_per_action!r}: must be a whole number in 1..{most}")
+        if self.run_up_from_rad_s is not None and not 0.0 <= self.run_up_from_rad_s <= start:
+            raise ValueError(
+                f"run_up_from_rad_s = {self.run_up_from_rad_s!r}: must be in 0..{start:g}, the start speed"
+            )
+        longest = config.experiment.braking_timeout_s
+        if not 0.0 < self.longest_s <= longest:
+            problem = f"must be above 0, and at most {longest:g}, experiment.braking_timeout_s"
+            raise ValueError(f"longest_s = {self.longest_s!r}: {problem}")
+        return config
 
 
 class _Step(NamedTuple):
@@ -92,41 +133,25 @@ def _spaces() -> tuple[Any, Any]:
 class _Episodes:
     """Stops of drawn rigs, their observations and rewards: what both environments do."""
 
-    def __init__(
-        self,
-        count: int,
-        *,
-        population: str = "hard",
-        config: str | Path | None = None,
-        settings: Sequence[str] = (),
-        action: Literal["duty", "torque"] = "duty",
-        ticks_per_action: int = 10,
-        run_up_from_rad_s: float | None = None,
-        longest_s: float = LONGEST_S,
-        reward: Reward = slip_reward,
-        compile_stops: bool,
-    ) -> None:
-        self._config = load_config(None if config is None else Path(config), settings, [control_check()])
-        _check(self._config, population, action, ticks_per_action, run_up_from_rad_s, longest_s)
-        self._population, self._reward = population, reward
-        self._nominal = nominal_parameters(self._config.model) if action == "torque" else None
-        start = self._config.experiment.start_speed_rad_s
-        longest = round(longest_s * 1e9 / self._config.period_ns)
-        clock = Clock(self._config.period_ns, ticks_per_action, longest)
-        rolling = start if run_up_from_rad_s is None else run_up_from_rad_s
-        self._stops = _stops(self._config, clock, count, rolling, compile_stops=compile_stops)
+    def __init__(self, count: int, choices: BrakingChoices, *, compile_stops: bool) -> None:
+        self._config = config = choices.load()
+        self._population, self._reward = choices.population, choices.reward
+        self._nominal = nominal_parameters(config.model) if choices.action == "torque" else None
+        self._reference = np.full(count, config.controller.reference_slip)
+        clock = Clock(config.period_ns, choices.ticks_per_action, round(choices.longest_s * 1e9 / config.period_ns))
+        run_up_from = choices.run_up_from_rad_s
+        rolling = config.experiment.start_speed_rad_s if run_up_from is None else run_up_from
+        self._stops = _stops(config, clock, count, rolling, compile_stops=compile_stops)
         self._rigs: list[str] = [""] * count
         self._begun = np.zeros(count, np.bool_)
 
     def begin(self, place: int, rig_seed: int) -> None:
         """A new stop, of the rig with this seed. Raises AbsError where its run-up ends without braking."""
         self._stops.begin(place, draw(self._population, rig_seed))
-        self._rigs[place] = f"{self._population}:{rig_seed}"
+        self._rigs[place] = rig = f"{self._population}:{rig_seed}"
         if self._stops.column("stop", "ending")[place]:
             reason = Reason(self._stops.column("guard", "reason")[place])
-            raise AbsError(
-                f"rig {self._rigs[place]} does not reach experiment.start_speed_rad_s: {EXPLANATIONS[reason]}"
-            )
+            raise AbsError(f"rig {rig} does not reach experiment.start_speed_rad_s: {EXPLANATIONS[reason]}")
         self._begun[place] = True
 
     def act(self, places: list[int], actions: Floats) -> None:
@@ -135,66 +160,48 @@ class _Episodes:
             raise ResetNeeded("the stop is over, or has not begun: call reset() first")
         self._stops.act(places, [self._duty(action) for action in actions.tolist()])
 
+    def now(self, begun: Sequence[int]) -> _Step:
+        """State of all stops, of which those at these places have just begun."""
+        truth, endings = self._truth(), self._column("stop", "ending")
+        rewards = np.array(self._reward(truth), np.float64)
+        if rewards.shape != endings.shape:
+            raise ValueError(f"reward of shape {rewards.shape}: must be {endings.shape}, a number per environment")
+        rewards[begun] = 0.0
+        self._begun[endings != Ending.NOT_YET] = False
+        estimates = [self._column("stop", name) for name in ("wheel_speed", "road_speed", "slip")]
+        return _Step(
+            np.stack([*estimates, truth.brake], axis=1),
+            rewards,
+            (endings == Ending.STANDING) | (endings == Ending.TRIPPED),
+            endings == Ending.OUT_OF_TIME,
+            self._info(truth, begun, endings),
+        )
+
     def _duty(self, action: float) -> float:
         k = self._nominal
         return action if k is None else brake_duty(action * brake_torque(1.0, k), k)
 
-    def now(self, begun: Sequence[int]) -> _Step:
-        """State of all stops, of which those at these places have just begun."""
+    def _truth(self) -> Truth:
         column = self._column
-        duties, endings = column("guard", "brake"), column("stop", "ending")
-        estimates = [column("stop", name) for name in ("wheel_speed", "road_speed", "slip")]
-        truth = Truth(
+        return Truth(
             (column("stop", "tick") - column("stop", "began")) * (self._config.period_ns * 1e-9),
             column("rig", "wheel_speed"),
             column("rig", "road_speed"),
             column("stop", "true_slip"),
             column("rig", "brake_torque"),
-            duties,
-            np.full(len(duties), self._config.controller.reference_slip),
+            column("guard", "brake"),
+            self._reference.copy(),
         )
-        rewards = np.array(self._reward(truth), np.float64)
-        rewards[begun] = 0.0
-        ended = np.flatnonzero(endings)
-        self._begun[ended] = False
-        info: Info = truth._asdict() | {f"_{name}": np.ones(len(duties), np.bool_) for name in truth._fields}
+
+    def _info(self, truth: Truth, begun: Sequence[int], endings: NDArray[Any]) -> Info:
+        info: Info = truth._asdict() | {f"_{name}": np.ones(len(endings), np.bool_) for name in truth._fields}
         _add(info, "rig", begun, [self._rigs[place] for place in begun])
-        reasons = column("guard", "reason")
+        ended, reasons = np.flatnonzero(endings), self._column("guard", "reason")
         _add(info, "ended", ended, [_ending(Ending(endings[place]), Reason(reasons[place])) for place in ended])
-        return _Step(
-            np.stack([*estimates, duties], axis=1),
-            rewards,
-            (endings == Ending.STANDING) | (endings == Ending.TRIPPED),
-            endings == Ending.OUT_OF_TIME,
-            info,
-        )
+        return info
 
     def _column(self, part: str, name: str) -> NDArray[Any]:
         return self._stops.column(part, name).copy()  # the stops go on, what was returned stays
-
-
-def _check(
-    config: RigConfig,
-    population: str,
-    action: str,
-    ticks_per_action: int,
-    run_up_from_rad_s: float | None,
-    longest_s: float,
-) -> None:
-    start = config.experiment.start_speed_rad_s
-    if population not in POPULATIONS:
-        raise ValueError(f"population {population!r}: must be one of {', '.join(POPULATIONS)}")
-    if action not in {"duty", "torque"}:
-        raise ValueError(f"action {action!r}: must be 'duty' or 'torque'")
-    if not 1 <= ticks_per_action <= config.loop.rate_hz:
-        raise ValueError(f"ticks_per_action = {ticks_per_action!r}: must be in 1..{config.loop.rate_hz:g}, one second")
-    if run_up_from_rad_s is not None and not 0.0 <= run_up_from_rad_s <= start:
-        raise ValueError(
-            f"run_up_from_rad_s = {run_up_from_rad_s!r}: must be in 0..{start:g}, experiment.start_speed_rad_s"
-        )
-    if not 0.0 < longest_s <= config.experiment.braking_timeout_s:
-        limit = config.experiment.braking_timeout_s
-        raise ValueError(f"longest_s = {longest_s!r}: must be above 0, and at most {limit:g}, braking_timeout_s")
 
 
 def _stops(config: RigConfig, clock: Clock, count: int, rolling_rad_s: float, *, compile_stops: bool) -> Stops:
@@ -222,29 +229,24 @@ def _add(info: Info, name: str, places: Sequence[int] | NDArray[np.int64], value
 class BrakingEnv(gymnasium.Env[Floats, Floats]):
     """A braking stop of a drawn rig, from the start speed to standstill, behind the guard.
 
-    An **observation** is what an estimator on the rig knows: wheel speed and road speed in rad/s (-1000..1000), slip
-    in 0..1, and the brake duty that the guard admitted last, in 0..1. An **action** is in 0..1: a duty of the brake, or
-    with `action="torque"` a torque as a share of that at full duty, which the nominal brake's straight line turns into
-    a duty. It is held for `ticks_per_action` periods of the loop (`loop.rate_hz`); the guard clamps it to
-    `guard.brake_limit`.
+    The arguments are those of `BrakingChoices`. An **observation** is what an estimator on the rig knows: wheel speed
+    and road speed in rad/s (-1000..1000), slip in 0..1, and the brake duty that the guard admitted last, in 0..1. An
+    **action** is a duty or share of torque in 0..1; the guard clamps the duty to `guard.brake_limit`.
 
     The **reward** of an action is that of the true state after it, by default `slip_reward`; `info` has the same state
     under the names of `Truth`, after a reset the `rig` as POPULATION:SEED, and at the end why it `ended`. A stop
     terminates with the road below 0.5 rad/s (`STANDING`), or when the guard trips (the name of its reason, such as
     `BAD_OUTPUT` for an action that is not a number); it is truncated after `longest_s` of braking (`OUT_OF_TIME`).
 
-    `reset(seed=N)` draws rig N of the `population`, and later resets draw from the same generator;
-    `options={"rig_seed": N}` names a rig. The drive accelerates the wheels from `run_up_from_rad_s` to
-    `experiment.start_speed_rad_s`; None: from that speed itself, which takes the 20 ms that estimators need. `config`
-    is a rig.toml, and `settings` are as for `--set`, such as `estimator.name=kalman`. Raises ConfigError for these, and
-    ValueError for other arguments.
+    `reset(seed=N)` draws rig N of the population, and later resets draw from the same generator;
+    `options={"rig_seed": N}` names a rig.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  as Gymnasium declares it
 
     def __init__(self, *, render_mode: None = None, **choices: Any) -> None:
         self.render_mode = render_mode
-        self._episodes = _Episodes(1, compile_stops=False, **choices)
+        self._episodes = _Episodes(1, BrakingChoices(**choices), compile_stops=False)
         self.observation_space, self.action_space = _spaces()
 
     def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Floats, Info]:
@@ -275,7 +277,7 @@ class BrakingVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):
         if num_envs < 1:
             raise ValueError(f"num_envs = {num_envs!r}: must be at least 1")
         self.num_envs, self.render_mode = num_envs, render_mode
-        self._episodes = _Episodes(num_envs, compile_stops=True, **choices)
+        self._episodes = _Episodes(num_envs, BrakingChoices(**choices), compile_stops=True)
         self.single_observation_space, self.single_action_space = _spaces()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -321,9 +323,8 @@ def _one_each(name: str, given: int | Sequence[int | None] | None, count: int, s
 
 
 def _rig_seed(seed: int | None, rig_seed: int | None, generator: np.random.Generator) -> int:
-    if rig_seed is not None:
-        return int(rig_seed)
-    return int(generator.integers(1 << 32)) if seed is None else int(seed)
+    given = seed if rig_seed is None else rig_seed
+    return int(generator.integers(1 << 32)) if given is None else index(given)
 
 
 def _shaped(actions: Any, shape: tuple[int, ...]) -> Floats:

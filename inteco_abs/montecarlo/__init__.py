@@ -1,7 +1,7 @@
 """Many virtual rigs at once: the rig's physics compiled, on arrays, and whole stops of them. Needs the extra `lab`."""
 
 from inteco_abs.montecarlo.batch import BatchPlant
-from inteco_abs.montecarlo.batch_run import LONGEST_BRAKING_S, Experiment
+from inteco_abs.montecarlo.batch_run import Experiment
 from inteco_abs.montecarlo.executors import InThisProcess, LocalProcesses, cores, count_workers, named_executor
 from inteco_abs.montecarlo.grid import MOST_COMBINATIONS, Combination, combinations, split_list
 from inteco_abs.montecarlo.oracle import Oracle
@@ -19,6 +19,7 @@ from inteco_abs.montecarlo.samples import SampleSet, parse_draws
 from inteco_abs.montecarlo.stops import SHARD, Progress, run_all, run_stops
 from inteco_abs.montecarlo.store import SweepFolder, SweepRow
 from inteco_abs.montecarlo.work import Braked, work
+from inteco_abs.rig import LONGEST_BRAKING_S
 
 __all__ = [
     "ESTIMATOR_NAMES",

@@ -18,12 +18,10 @@ from inteco_abs.montecarlo.closed_loop import COLUMNS, function_of_stop, parts_o
 from inteco_abs.montecarlo.policies import PolicyFactory, TrueState
 from inteco_abs.montecarlo.python_controller import PythonController
 from inteco_abs.montecarlo.results import METRICS, METRICS_ROW, StopResults, Trace
-from inteco_abs.rig import RigVariation, nominal_parameters
+from inteco_abs.rig import LONGEST_BRAKING_S, RigVariation, nominal_parameters
 from inteco_abs.sessions import STANDSTILL_RAD_S, Array, StopTrace, stop_metrics
 from inteco_abs.signals import EXPLANATIONS, Phase, Reason, Sample
 
-LONGEST_BRAKING_S: Final = 4.0
-"""No rig of any population that is braked at all takes half as long."""
 _FIRST_ROWS: Final = 4096
 
 

@@ -10,12 +10,13 @@ from inteco_abs.rig.model import Motion, accelerations, kinetic_energy, wheel_sl
 from inteco_abs.rig.nominal import nominal_brake_map, nominal_drive_motor, nominal_parameters
 from inteco_abs.rig.parameters import RigParameters
 from inteco_abs.rig.plant import Plant
-from inteco_abs.rig.population import POPULATIONS, draw
+from inteco_abs.rig.population import LONGEST_BRAKING_S, POPULATIONS, draw
 from inteco_abs.rig.rng import WORD, mixed
 from inteco_abs.rig.torque_margin import holding_torque, torque_margin
 from inteco_abs.rig.variation import LONGEST_DEAD_TIME_S, MOST_DELAY_TICKS, EncoderVariation, RigVariation
 
 __all__ = [
+    "LONGEST_BRAKING_S",
     "LONGEST_DEAD_TIME_S",
     "MEASURED_MAP",
     "MOST_DELAY_TICKS",

@@ -28,6 +28,8 @@ from inteco_abs.rig.variation import EncoderVariation, RigVariation
 
 _TURN: Final = 2.0 * math.pi
 _COUNTS: Final = 2048
+LONGEST_BRAKING_S: Final = 4.0
+"""No rig of any population that is braked at all takes half as long."""
 
 
 def draw(population: str, seed: int) -> RigVariation:

@@ -19,7 +19,7 @@ from inteco_abs.sessions.files import (
     write_file,
 )
 from inteco_abs.sessions.frames import Frames, read_frames
-from inteco_abs.sessions.metrics import STANDSTILL_RAD_S, Array, StopTrace, stop_metrics
+from inteco_abs.sessions.metrics import LOCKED_SLIP, LOWEST_RAD_S, STANDSTILL_RAD_S, Array, StopTrace, stop_metrics
 from inteco_abs.sessions.migration import Metadata, newer
 from inteco_abs.sessions.provenance import host_facts, profile_source, software_facts
 from inteco_abs.sessions.reader import (
@@ -42,7 +42,9 @@ __all__ = [
     "CONTROLLER_SOURCE",
     "EXIT_CODES",
     "FORMATS",
+    "LOCKED_SLIP",
     "LOSSES",
+    "LOWEST_RAD_S",
     "RECOVERED",
     "STANDSTILL_RAD_S",
     "TICK",

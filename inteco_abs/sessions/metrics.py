@@ -15,9 +15,11 @@ BAND: Final = 0.01
 STANDSTILL_RAD_S: Final = 0.5
 _SETTLE_S: Final = 0.020
 _FIXED_START_S: Final = 0.25
-_LOWEST_RAD_S: Final = 10.0
+LOWEST_RAD_S: Final = 10.0
+"""Below, no metric judges the slip."""
 _LOW_SPEED_RAD_S: Final = 60.0
-_LOCKED_SLIP: Final = 0.9
+LOCKED_SLIP: Final = 0.9
+"""A wheel with more slip counts as locked."""
 _NEVER: Final = np.iinfo(np.int64).max
 
 Array = npt.NDArray[Any]
@@ -53,7 +55,7 @@ def stop_metrics(trace: StopTrace, reference: float, parameters: RigParameters) 
     error = slip - reference
     time_s = trace.since_ns * 1e-9
     entry = _first(time_s, np.abs(error) < BAND)
-    slow = np.flatnonzero(speed < _LOWEST_RAD_S)
+    slow = np.flatnonzero(speed < LOWEST_RAD_S)
     fast = np.arange(len(slip)) < (slow[0] if len(slow) else len(slip))
     settled = fast & (trace.since_ns >= (_NEVER if entry is None else round((entry + _SETTLE_S) * 1e9)))
     standing = np.flatnonzero(speed < STANDSTILL_RAD_S)
@@ -69,7 +71,7 @@ def stop_metrics(trace: StopTrace, reference: float, parameters: RigParameters) 
         "slip_rms_above_60": _rms(error, settled & (speed > _LOW_SPEED_RAD_S)),
         "slip_rms_fixed": _rms(error, fast & (trace.since_ns >= round(_FIXED_START_S * 1e9))),
         "overshoot": float(error[arrived].max()) if arrived.any() else None,
-        "lock_fraction": float(np.mean(slip[fast] > _LOCKED_SLIP)) if fast.any() else None,
+        "lock_fraction": float(np.mean(slip[fast] > LOCKED_SLIP)) if fast.any() else None,
         **_variations(trace.brake[fast], float(time_s[slow[0]]) if len(slow) else 0.0, parameters),
     }
 

@@ -223,7 +223,8 @@ def test_a_step_needs_a_stop_that_is_not_over():
     [
         ({"population": "easy"}, "population 'easy': must be one of nominal, hard"),
         ({"action": "slip"}, "action 'slip': must be 'duty' or 'torque'"),
-        ({"ticks_per_action": 0}, r"ticks_per_action = 0: must be in 1..2000"),
+        ({"ticks_per_action": 0}, r"ticks_per_action = 0: must be a whole number in 1..2000"),
+        ({"ticks_per_action": 2.5}, r"ticks_per_action = 2.5: must be a whole number"),
         ({"run_up_from_rad_s": 181.0}, r"run_up_from_rad_s = 181.0: must be in 0..180"),
         ({"longest_s": 11.0}, r"longest_s = 11.0: must be above 0, and at most 10"),
     ],
