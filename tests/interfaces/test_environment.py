@@ -147,6 +147,10 @@ def test_a_rig_may_be_named_and_unnamed_ones_follow_from_the_seed():
     assert vector.reset(seed=[8, 2])[1]["rig"].tolist() == ["hard:8", "hard:2"]
     with pytest.raises(ValueError, match="rig_seed has 1 entries: must be 2"):
         vector.reset(options={"rig_seed": [5]})
+    with pytest.raises(TypeError, match="float"):
+        env.reset(options={"rig_seed": 5.5})
+    with pytest.raises(ValueError, match=r"must be in 0\.\."):
+        env.reset(options={"rig_seed": -1})
 
 
 @compiles
@@ -196,6 +200,13 @@ def test_the_reward_is_the_slip_error_and_a_penalty_for_locking_unless_another_i
 
     own = stop(BrakingEnv(population="nominal", reward=slower), duty(0.7), seed=1)
     assert own[1].tolist() == [-info["road_speed_rad_s"] for info in own[2][1:]]
+
+
+@compiles
+def test_a_reward_needs_a_number_for_each_environment():
+    envs = BrakingVectorEnv(2, reward=lambda truth: -truth.slip[:1])
+    with pytest.raises(ValueError, match=r"reward of shape \(1,\): must be \(2,\), a number per environment"):
+        envs.reset(seed=1)
 
 
 def test_the_run_up_is_skipped_or_as_long_as_asked():
