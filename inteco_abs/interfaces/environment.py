@@ -44,7 +44,7 @@ _LOCK_PENALTY: Final = 1.0
 
 
 class Truth(NamedTuple):
-    """What a reward may look at: numbers of one environment, or arrays with one number for each."""
+    """What a reward may look at: arrays with one number for each environment."""
 
     time_s: Any
     """Since braking began."""
@@ -60,7 +60,7 @@ class Truth(NamedTuple):
 
 
 Reward = Callable[[Truth], Any]
-"""Reward of an action, from the state that it has led to: a number, or an array of them where the truth has arrays."""
+"""Rewards of an action, one for each environment, from the state that it has led to."""
 
 
 def slip_reward(truth: Truth) -> Any:
@@ -75,22 +75,23 @@ class BrakingChoices:
     """Arguments of both environments, by name. Raises ValueError for what is out of range, ConfigError for settings."""
 
     population: str = "hard"
-    """Of the rigs that are drawn."""
+    """Of the rigs that are drawn: `nominal`, `hard`, `rough`, `late`, `slow` or `capped`; `hard` by default."""
     config: str | Path | None = None
     """A rig.toml; None: the defaults."""
     settings: Sequence[str] = ()
     """As for `--set`, such as `["estimator.name=kalman"]`."""
     action: Literal["duty", "torque"] = "duty"
     """What an action in 0..1 is: the brake's duty, or a torque as a share of that at full duty (9.03 N m), which the
-    straight line of the nominal brake turns into a duty."""
+    straight line of the nominal brake turns into a duty. `duty` by default."""
     ticks_per_action: int = 10
-    """Periods of the loop (`loop.rate_hz`) for which an action is held: at least 1, at most one second."""
+    """Periods of the loop (`loop.rate_hz`) for which an action is held, from 1 to a second of them; 10 by default."""
     run_up_from_rad_s: float | None = None
     """Road speed from which the drive accelerates the wheels, from 0 to `experiment.start_speed_rad_s`; None: from the
     start speed itself, which takes the 20 ms that estimators need."""
     longest_s: float = LONGEST_BRAKING_S
-    """Braking for so long truncates a stop; above 0, at most `experiment.braking_timeout_s`."""
+    """Braking for so long truncates a stop: above 0, at most `experiment.braking_timeout_s`; 4 by default."""
     reward: Reward = slip_reward
+    """Function of the `Truth` after an action."""
 
     def load(self) -> RigConfig:
         """The configuration, with which the other choices go together."""
