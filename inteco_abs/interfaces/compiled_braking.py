@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from inteco_abs.config import RigConfig
+from inteco_abs.config import GuardConfig, RigConfig
 from inteco_abs.control import Function, config_of_stop
 from inteco_abs.interfaces.braking import Clock, Parts, act, make_path, make_rig, observe, run_up
 from inteco_abs.machine_code import compiled, record
@@ -24,7 +24,7 @@ class CompiledStops:
 
     def __init__(self, config: RigConfig, clock: Clock, count: int, rolling_rad_s: float, estimate: Function) -> None:
         self._config, self._clock, self._rolling_rad_s = config, clock, rolling_rad_s
-        self._paths: dict[float, list[Any]] = {}
+        self._paths: dict[GuardConfig, list[Any]] = {}
         read = partial(observe, estimate=estimate, word=_unsigned)
         self._begin, self._act = (compiled(partial(_at_each, do=partial(do, observe=read))) for do in (run_up, act))
         self._rows = Parts(*(np.repeat(row, count).view(np.recarray) for row in self._row(RigVariation())))
@@ -40,10 +40,9 @@ class CompiledStops:
         k, state = make_rig(rig, self._rolling_rad_s)
         speeds = np.array([[state.wheel_speed], [state.road_speed]])
         config = config_of_stop(self._config, rig)
-        limit = config.guard.brake_limit  # all that a path has of its rig
-        if limit not in self._paths:
-            self._paths[limit] = [np.array([record(part)]) for part in make_path(config, self._clock)]
-        return [rig_rows([k]), state_rows([k], *speeds), *self._paths[limit]]
+        if config.guard not in self._paths:  # the rest of the configuration is the same for all rigs
+            self._paths[config.guard] = [np.array([record(part)]) for part in make_path(config, self._clock)]
+        return [rig_rows([k]), state_rows([k], *speeds), *self._paths[config.guard]]
 
     def act(self, places: list[int], brakes: list[float]) -> None:
         """Demand these duties of the rigs at these places for the ticks of an action, or until a stop is over."""
