@@ -37,7 +37,12 @@ class Window:
 
 def empty_window(length: int) -> Window:
     """A window that has seen no sample."""
-    return Window([0] * length, [0] * length, [0] * length)
+    return Window(*_rings(length))
+
+
+def _rings(length: int) -> tuple[list[int], list[int], list[int]]:
+    ring = [0] * length
+    return ring, ring.copy(), ring.copy()
 
 
 def mean_speeds(k: WindowConstants, s: Window, time_ns: int, wheel_count: int, road_count: int) -> tuple[float, float]:
@@ -78,12 +83,8 @@ class MovingAverageSpeed(Window):
     function: ClassVar[Function] = staticmethod(mean_speed)
 
     def __init__(self, counts_per_turn: int, length: int) -> None:
-        super().__init__([0] * length, [0] * length, [0] * length)
+        super().__init__(*_rings(length))
         self.k = window_constants(counts_per_turn, length)
-
-    def clear(self) -> None:
-        """Forget all samples."""
-        self.oldest = -1
 
     def update(self, time_ns: int, count: int) -> float:
         """Speed in rad/s at the sample taken at `time_ns`; 0 at the first sample."""

@@ -6,12 +6,12 @@ import math
 from copy import deepcopy
 from dataclasses import dataclass
 from numbers import Real
-from typing import Final, NamedTuple
+from typing import Final
 
 from inteco_abs.config import RigConfig
 from inteco_abs.control.controllers import Controller
 from inteco_abs.control.count_speed import Window, WindowConstants, empty_window, mean_speeds, window_constants
-from inteco_abs.signals import BrakeDemand, Command, Estimate, Phase, Reason, Sample
+from inteco_abs.signals import BrakeDemand, Estimate, Phase, Reason, Sample
 
 _NONE: Final = Reason.NONE
 _IDLE, _ARMED, _SPIN_UP = Phase.IDLE, Phase.ARMED, Phase.SPIN_UP
@@ -24,14 +24,6 @@ _FOUR_FLOATS: Final = (float, float, float, float)
 _NUMBERS: Final[type] = Real
 """Types that are accepted as a duty of users' controllers."""
 _NO_DEMAND: Final = BrakeDemand(0.0)
-
-
-class Request(NamedTuple):
-    """Requested outputs, the demand behind them, and a reason to stop or NONE."""
-
-    command: Command
-    demand: BrakeDemand
-    reason: Reason
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,13 +106,8 @@ class PhaseMachine(MachineState):
         self.drive_request, self.brake_request, self.held = 0.0, 0.0, False
         self.reason = Reason.CONTROLLER_ERROR
 
-    def step(self, sample: Sample, estimate: Estimate) -> Request:
-        """Advance by one sample."""
-        self.advance(sample, estimate)
-        return Request(Command(self.drive_request, self.brake_request), self.demand, self.reason)
-
     def advance(self, sample: Sample, estimate: Estimate) -> None:
-        """As `step`, which leaves the request in the state."""
+        """Advance by one sample; the request is in the state."""
         phase = self.phase
         if phase is _BRAKING:
             self._last = recordable(self.controller.update(estimate, sample.dt_s))

@@ -67,7 +67,7 @@ def with_controller(answer, kind=Scripted):
 
 
 def at_call(number: int, action):
-    return lambda call: action() if call == number else BrakeDemand(0.6)
+    return lambda call: action() if call == number else BrakeDemand(0.6, 4.0)
 
 
 def fail():
@@ -246,7 +246,8 @@ def test_a_controller_that_raises_ends_the_run_and_its_error_is_kept(experiment,
     run = experiment(*QUICK, pipeline=with_controller(at_call(call, fail)))
     last = run.run()[-1].tick
     assert (last.phase, last.reason) == (Phase.FAULT, Reason.CONTROLLER_ERROR)
-    assert (last.drive, last.brake) == Command.SAFE
+    assert (last.drive, last.brake) == (last.drive_request, last.brake_request) == Command.SAFE
+    assert last.torque_demand_nm == 0.0
     assert isinstance(run.pipeline.error, ZeroDivisionError)
     assert str(run.pipeline.error) == "in the user's controller"
     assert_only_safe_from_now_on(run.pipeline, last)

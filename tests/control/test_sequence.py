@@ -1,5 +1,6 @@
 import math
 from itertools import groupby, pairwise
+from typing import NamedTuple
 
 import pytest
 
@@ -17,6 +18,14 @@ SETTINGS = (
 )
 BLIND = Estimate(math.nan, math.nan, 0.0, valid=False)
 RATE_RAD_S2 = 400.0
+
+
+class Request(NamedTuple):
+    """What the sequence requests, the demand behind it, and a reason to stop or NONE."""
+
+    command: Command
+    demand: BrakeDemand
+    reason: Reason
 
 
 class Counting:
@@ -46,7 +55,9 @@ class Play:
 
     def step(self, road_speed: float = 0.0, wheel_speed: float | None = None, **timing):
         sample = self.encoders.turn(road_speed if wheel_speed is None else wheel_speed, road_speed, **timing)
-        request = self.sequence.step(sample, BLIND)
+        machine = self.sequence
+        machine.advance(sample, BLIND)
+        request = Request(Command(machine.drive_request, machine.brake_request), machine.demand, machine.reason)
         self.steps.append((self.phase, request))
         return request
 

@@ -30,7 +30,8 @@ class Timed:
     def see(self, after_ns: int, counts: int = 0):
         self.time_ns += after_ns
         self.road += counts
-        return self.sequence.step(Sample(0, self.time_ns, 0.0005, 0, self.road), BLIND)
+        self.sequence.advance(Sample(0, self.time_ns, 0.0005, 0, self.road), BLIND)
+        return self.sequence
 
     @property
     def phase(self) -> Phase:
@@ -98,8 +99,9 @@ def test_the_brake_is_released_when_the_hold_time_is_over(after_ns, phase):
 def test_nothing_is_demanded_of_the_brake_but_while_braking_and_at_rest():
     timed, demands = Timed(), {}
     for _ in range(5000):
-        request = timed.see(10_000_000, 1000 if timed.phase is Phase.SPIN_UP else 0)
-        demands.setdefault(timed.phase, set()).add((request.demand, request.command))
+        machine = timed.see(10_000_000, 1000 if timed.phase is Phase.SPIN_UP else 0)
+        command = Command(machine.drive_request, machine.brake_request)
+        demands.setdefault(timed.phase, set()).add((machine.demand, command))
     nothing = (BrakeDemand(0.0), Command.SAFE)
     assert demands[Phase.IDLE] == demands[Phase.ARMED] == demands[Phase.DONE] == {nothing}
     assert demands[Phase.SPIN_UP] == {nothing, (BrakeDemand(0.0), Command(1.0, 0.0))}

@@ -191,7 +191,7 @@ class Unsteady:
         self.encoders = encoders()
 
     def step(self, speed, **timing):
-        self.sequence.step(self.encoders.turn(speed, speed, **timing), NO_ESTIMATE)
+        self.sequence.advance(self.encoders.turn(speed, speed, **timing), NO_ESTIMATE)
 
     def until(self, phase, speed):
         for _ in range(10_000):

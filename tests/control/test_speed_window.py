@@ -67,19 +67,17 @@ def test_a_step_of_counts_is_forgotten_after_one_length(length, jump):
     assert at_jump[length] == 0.0
 
 
-def test_a_cleared_window_begins_again():
-    window = MovingAverageSpeed(2048, 5)
-    window.update(0, 0)
-    assert window.update(500_000, 20) > 0.0
-    window.clear()
-    assert window.update(1_000_000, 40) == 0.0
-
-
 @pytest.mark.parametrize("later_ns", [1_000_000, 999_999])
 def test_no_time_between_two_samples_gives_no_speed_instead_of_a_division_by_zero(later_ns):
     window = MovingAverageSpeed(2048, 1)
     window.update(1_000_000, 0)
     assert window.update(later_ns, 5) == 0.0
+
+
+def test_the_shortest_time_between_two_samples_gives_a_speed():
+    window = MovingAverageSpeed(2048, 1)
+    window.update(1_000_000, 0)
+    assert window.update(1_000_001, 5) == pytest.approx(5 * 2e9 * math.pi / 2048)
 
 
 tracks = st.lists(st.tuples(st.integers(-1000, 10_000_000), counts, counts), min_size=1, max_size=60)
