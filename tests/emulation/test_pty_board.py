@@ -160,7 +160,7 @@ def test_a_loop_that_is_killed_leaves_the_port_to_the_guardian_which_makes_the_b
     run = live()
     run.until_tick(TRIP_TICKS)
     mock.until(lambda truth: truth["drive"] > 0.0)
-    run.strike("loop")
+    run.kill("loop")
     code, card, stderr = run.end()
     assert (code, card["outcome"]) == (5, "aborted"), stderr
     assert "the guardian made its board safe" in stderr

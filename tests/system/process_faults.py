@@ -8,7 +8,7 @@ import random
 import signal
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import combinations, product
 from pathlib import Path
 from typing import NamedTuple
@@ -112,7 +112,8 @@ def _faulted(run, kind, seed):
         on, off_ms = turned_off(run, last_ns)
     finally:
         for pid in run.processes():
-            os.kill(pid, signal.SIGKILL)
+            with suppress(ProcessLookupError):  # it may end meanwhile
+                os.kill(pid, signal.SIGKILL)
         run.process.kill()
         _, said = run.process.communicate()
         run.memory.remove()
