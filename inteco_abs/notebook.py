@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from datetime import datetime
@@ -16,7 +17,7 @@ from inteco_abs.boards import check_address, check_kind, default_profile, kind_c
 from inteco_abs.config import RigConfig, load_config
 from inteco_abs.control import Controller, build_pipeline, control_check, preferred_estimator
 from inteco_abs.errors import AbsError, ConfigError
-from inteco_abs.experiment import Plan
+from inteco_abs.experiment import Plan, replay_problem
 from inteco_abs.experiment import run_stop as run_experiment
 from inteco_abs.mock_board import rig_check
 from inteco_abs.plugins import FROM_FILE, Controllers, Origin, load_controller
@@ -125,7 +126,8 @@ class Rig:
 
         `controller` is a name as on the command line or, in virtual time, a class; `seed` is that of the mock board's
         random state. A simulated board runs in virtual time unless `real_time` is True. An interrupt ends the run
-        safely. Raises ConfigError or BoardError if it cannot start.
+        safely. Warns if the decisions of a controller that does not ship do not replay. Raises ConfigError or
+        BoardError if it cannot start.
         """
         chosen: dict[str, Any] = dict(settings or {})
         given: Mapping[str, object] = gains or {}
@@ -141,9 +143,10 @@ class Rig:
         if isinstance(controller, type) and not virtual:
             problem = f"{_name(controller)} is a class of this process; real time needs a file: file.py:Class"
             raise ConfigError.of("controller", problem)
-        run_experiment(
-            config, Plan(path, self.board, virtual, seed, known, origin.source, controller_package=origin.package)
-        )
+        plan = Plan(path, self.board, virtual, seed, known, origin.source, controller_package=origin.package)
+        problem = replay_problem(config, plan, run_experiment(config, plan))
+        if problem:
+            warnings.warn(problem, stacklevel=2)
         return open_session(path)
 
 

@@ -23,7 +23,7 @@ from inteco_abs.cli.options import (
     require_different,
     run_options,
 )
-from inteco_abs.cli.run import brake, report_end
+from inteco_abs.cli.run import brake, checked_replay, report_end
 from inteco_abs.cli.session_files import read_on_disk
 from inteco_abs.cli.terminal import print_json, say, show
 from inteco_abs.errors import AbsError, ConfigError
@@ -98,6 +98,9 @@ def _brake(count: int, folder: Path, pause_s: float, options: RunOptions) -> tup
         rig, plan = replace(options, seed=options.seed + number).plan(path)
         stop = brake(rig, plan, options)
         report_end(stop)
+        problem = checked_replay(rig, plan, stop)
+        if problem:
+            say(f"inteco-abs: {path}: {problem}", err=True)
         if path.exists():
             paths.append(path)
         say(f"{path}: {_WORDS.get(stop.exit_code, f'ended with exit code {stop.exit_code}')}", err=True)

@@ -65,14 +65,14 @@ def run(
     stop = brake(rig, plan, options)
     try:
         if as_json:
-            problem = _replay_problem(rig, plan, stop)
+            problem = checked_replay(rig, plan, stop)
             print_json(stop.card | ({"replay_problem": problem} if problem else {}))
         elif not options.quiet:
             from inteco_abs.analysis import previous_card
 
             print_card(stop.card, stop.explanation, previous_card(stop.card))
         report_end(stop)
-        problem = problem if as_json else _replay_problem(rig, plan, stop)  # the card does not wait for it
+        problem = problem if as_json else checked_replay(rig, plan, stop)  # the card does not wait for it
         if problem:
             say(f"inteco-abs: {problem}", err=True)
     except OSError:  # the terminal is gone; the exit code still counts
@@ -81,7 +81,7 @@ def run(
     return _drawn(stop, figure)
 
 
-def _replay_problem(rig: RigConfig, plan: Plan, stop: RunResult) -> str:
+def checked_replay(rig: RigConfig, plan: Plan, stop: RunResult) -> str:
     """Why the run will not replay; an interrupt ends the check, as the run is over."""
     from inteco_abs.experiment import replay_problem
 

@@ -99,6 +99,8 @@ def test_a_run_whose_decisions_do_not_replay_says_so(inteco_abs, tmp_path, name)
     assert problem.startswith("the decisions do not replay: ")
     assert "brake_request; the controller uses a clock, random numbers, or something outside of itself" in problem
     assert f"inteco-abs: {problem}" in run.stderr
+    series = inteco_abs("repeat", 1, *QUICK, "--controller", f"law.py:{name}", "-o", "series", check=0)
+    assert "stop-1.mcap: the decisions do not replay: " in series.stderr
 
 
 def test_a_run_names_a_file_that_is_read_too_late_to_be_kept(inteco_abs, tmp_path):

@@ -82,6 +82,18 @@ def test_a_class_runs_with_its_gains_and_is_kept(own):
     assert max(own.ticks["brake_request"].tolist()) == 0.8
 
 
+def test_a_class_whose_decisions_do_not_replay_is_warned_of(rig, tmp_path):
+    class Counting(Bang):
+        calls = 0
+
+        def update(self, estimate, dt_s):
+            Counting.calls += 1
+            return super().update(estimate, dt_s)._replace(brake=0.5 + 1e-6 * Counting.calls)
+
+    with pytest.warns(UserWarning, match="the decisions do not replay: .* something outside of itself that changes"):
+        rig.run_stop(Counting, out=tmp_path / "counting.mcap")
+
+
 def test_a_session_replays(stop, own):
     assert stop.replay().differing == 0
     assert own.replay(Bang).differing == 0
