@@ -15,8 +15,8 @@ CONTENTS = {
     "Tutorials": ["docs/tutorials/*.md"],
     "Guides": [
         "docs/safety.md", "docs/troubleshooting.md", "docs/settings.md", "docs/controllers.md", "docs/sweeps.md",
-        "docs/sessions.md", "docs/interfaces.md", "docs/boards.md", "docs/real-time.md", "docs/hazards.md", "docs/watchdog.md",
-        "docs/parity.md",
+        "docs/sessions.md", "docs/interfaces.md", "docs/boards.md", "docs/real-time.md", "docs/hazards.md",
+        "docs/watchdog.md", "docs/parity.md",
     ],
     "Reference": ["docs/reference.md", "docs/api/*.md", "firmware_protocol/PROTOCOL.md"],
     "Contribute": [

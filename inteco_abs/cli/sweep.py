@@ -29,6 +29,7 @@ from inteco_abs.cli.terminal import print_json, say, show, stops_progress
 from inteco_abs.errors import ConfigError, ConfigIssue
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from concurrent.futures import Executor
 
     from inteco_abs.montecarlo import Braked, Combination, SampleSet, SweepFolder, SweepPlan, SweepRow
@@ -202,7 +203,22 @@ def _plan(
     names = [f"controller.name={name}" for name in controller] + [f"estimator.name={name}" for name in estimator]
     grid = combinations([*settings, *names], controllers, config)
     _require_no_rig(grid, draws)
-    return SweepPlan(grid, draws, sources, run_up)
+    return SweepPlan(grid, draws, _with_files(sources, grid, controllers), run_up)
+
+
+def _with_files(
+    sources: Mapping[str, bytes], grid: Sequence[Combination], controllers: Controllers
+) -> dict[str, bytes]:
+    """The sources with the files that the controllers read when they are made. Raises ConfigError if one cannot be."""
+    from inteco_abs.control import make_controller
+    from inteco_abs.experiment import time_limit
+    from inteco_abs.plugins import with_files
+
+    with redirect_stdout(sys.stderr), time_limit():
+        for one in grid:
+            if one.config.controller.name in sources:
+                make_controller(one.config, controllers)
+    return {name: with_files(name, source) for name, source in sources.items()}
 
 
 def _brake(

@@ -31,11 +31,11 @@ if TYPE_CHECKING:
 _PLAN: Final = "sweep.json"
 _MOST_VALUES: Final = 10_000_000
 """Read at once, if one metric has no more: 80 MB."""
-_SWEEP: Final = b"inteco_abs.sweep"
+_SWEEP: Final = "inteco_abs.sweep"
 """Metadata of a part: the description's hash."""
-_LEFT_OUT: Final = b"inteco_abs.left_out"
+_LEFT_OUT: Final = "inteco_abs.left_out"
 """Seeds of rigs that do not count, as JSON."""
-_TICKS: Final = b"inteco_abs.ticks"
+_TICKS: Final = "inteco_abs.ticks"
 """Number of decisions."""
 
 
@@ -82,10 +82,16 @@ class SweepFolder:
         """Store the results of a unit. Raises AbsError if the disk fails."""
         from pyarrow import parquet  # noqa: PLC0415  heavy
 
-        table = self._table(unit, draws, stops)
+        table = self._table(unit, stops, draws.seeds)
+        facts = {_SWEEP: self.plan.name, _LEFT_OUT: json.dumps(draws.left_out), _TICKS: str(stops.ticks)}
+        words = [name for name, kind in zip(table.column_names, table.schema.types, strict=True) if kind == "string"]
+        # without statistics and Arrow's schema the end of the file is half as long, which is most of a small one
+        options = {"use_dictionary": words, "write_statistics": False, "store_schema": False}
         try:
             with atomic_write(self.part(unit)) as path, path.open("xb") as file:
-                parquet.write_table(table, file, compression="zstd")
+                with parquet.ParquetWriter(file, table.schema, compression="zstd", **options) as writer:
+                    writer.add_key_value_metadata(facts)
+                    writer.write_table(table)
                 file.flush()
                 os.fsync(file.fileno())
         except OSError as error:
@@ -93,7 +99,7 @@ class SweepFolder:
         with suppress(OSError):
             self._failure(unit).unlink()
 
-    def _table(self, unit: Unit, draws: SampleSet, stops: StopResults) -> Table:
+    def _table(self, unit: Unit, stops: StopResults, seeds: Sequence[int]) -> Table:
         import pyarrow as pa  # noqa: PLC0415  heavy
 
         combination = self.plan.grid[unit.combination]
@@ -103,12 +109,11 @@ class SweepFolder:
             "estimator": combination.config.estimator.name,
             **{key: combination.varied.get(key) for one in self.plan.grid for key in one.varied},
         }
-        columns = {"seed": pa.array(draws.seeds, pa.uint64())}
+        columns = {"seed": pa.array(seeds, pa.uint64())}
         columns |= {name: pa.array([word] * len(stops), pa.string()) for name, word in words.items()}
         columns |= {name: pa.array(stops[name], pa.float64(), from_pandas=True) for name in METRICS}
         columns["error"] = pa.array([error or None for error in stops.errors], pa.string())
-        facts = {_SWEEP: self.plan.name, _LEFT_OUT: json.dumps(draws.left_out), _TICKS: str(stops.ticks)}
-        return pa.table(columns).replace_schema_metadata(facts)
+        return pa.table(columns)
 
     def fail(self, unit: Unit, problem: str) -> None:
         """List a unit that is given up."""
@@ -155,7 +160,7 @@ class SweepRow:
         stops, left_out = 0, list[int]()
         for metadata in self._each(lambda file: file.metadata):
             stops += metadata.num_rows
-            left_out += json.loads(metadata.metadata[_LEFT_OUT])
+            left_out += json.loads(metadata.metadata[_LEFT_OUT.encode()])
         return stops, left_out
 
     @property
@@ -171,7 +176,7 @@ class SweepRow:
     @property
     def ticks(self) -> int:
         """Number of decisions in all stops."""
-        return sum(int(metadata.metadata[_TICKS]) for metadata in self._each(lambda file: file.metadata))
+        return sum(int(metadata.metadata[_TICKS.encode()]) for metadata in self._each(lambda file: file.metadata))
 
     def __getitem__(self, metric: str) -> NDArray[np.float64]:
         """One metric of all stops; NaN for a stop that does not have it."""
@@ -211,7 +216,7 @@ class SweepRow:
         for path in self._parts:
             try:
                 with parquet.ParquetFile(path) as file:
-                    if (file.metadata.metadata or {}).get(_SWEEP) != self._name:
+                    if (file.metadata.metadata or {}).get(_SWEEP.encode()) != self._name:
                         raise AbsError(f"{path}: belongs to another sweep; remove it, and continue with --work")
                     found = read(file)
             except (OSError, ArrowException) as error:

@@ -261,10 +261,15 @@ def test_a_worker_of_dask_that_is_killed_in_a_unit_changes_nothing(inteco_abs, d
 
 
 def test_computers_share_a_folder_by_parts(main_here, tmp_path):
-    (tmp_path / "own.py").write_text(OWN)
+    (tmp_path / "own.py").write_text(
+        "from pathlib import Path\n"
+        + OWN.replace("= duty", "= duty + float(Path(__file__).with_name('more').read_text())")
+    )
+    (tmp_path / "more").write_text("0.0")
     own = ("--controller", "own.py:Own", "--set", "controller.gains.duty=0.7,0.8")
     main_here("sweep", *QUICK, *own, "--store", "shared", "--prepare", check=0)
-    (tmp_path / "own.py").unlink()  # its source is in the folder
+    (tmp_path / "own.py").unlink()  # its source is in the folder, and what it reads
+    (tmp_path / "more").unlink()
     assert "0 of 4 stops so far" in main_here("sweep", "--show", "shared", check=0).stderr
     second = main_here("sweep", "--work", "shared", "--part", "2/2", "--jobs", "1", check=0)
     assert "2 stops, " in second.stderr
