@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 from inteco_abs.config import RigConfig, parse_config, trusted_config
-from inteco_abs.errors import SessionError
+from inteco_abs.errors import ConfigError, SessionError
 from inteco_abs.realtime.memory import Mailbox, RunMemory
 
 _FILES: Final = ("controller_source", "profile")
+_MOST_SOURCE_BYTES: Final = 1_500_000
+"""What fits into the note in shared memory, as base64."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +52,15 @@ class Job:
     """Faults of the mock board, as they were typed."""
 
     def post(self, memory: RunMemory) -> None:
-        """Check the configuration and post the job in `memory`. Raises ConfigError for values out of range."""
+        """Check the configuration and post the job in `memory`.
+
+        Raises ConfigError for values out of range, or for a controller with too large files.
+        """
+        size = len(self.controller_source)
+        if size > _MOST_SOURCE_BYTES:
+            problem = f"its source and the files beside it that it loads make {size / 1e6:.1f} MB compressed"
+            most = f"must be at most {_MOST_SOURCE_BYTES / 1e6:g} MB in real time"
+            raise ConfigError.of("controller.name", f"{self.config.controller.name}: {problem}: {most}")
         files = {name: base64.b64encode(getattr(self, name)).decode() for name in _FILES}
         config = self.config.to_toml()
         parse_config(config)

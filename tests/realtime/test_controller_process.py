@@ -132,6 +132,17 @@ def test_it_has_the_files_that_were_kept_with_its_source():
 
 
 @pytest.mark.usefixtures("patient")
+def test_it_names_a_file_that_it_opens_only_while_it_runs(tmp_path, monkeypatch, isolate, capfd):
+    monkeypatch.chdir(tmp_path)
+    for name in ("late.txt", "early.txt"):
+        (tmp_path / name).write_text("0.5")
+    process, controllers = isolate(asked="open('late.txt').close()", made="open('early.txt').close()")
+    make_controller(named(), controllers).update(ESTIMATES[0], 5e-4)
+    process.close()
+    assert "the controller opened late.txt while it ran: the session does not keep that" in capfd.readouterr().err
+
+
+@pytest.mark.usefixtures("patient")
 def test_each_copy_is_a_controller_of_its_own_as_for_several_stops(law):
     _, first = law()
     made = deepcopy(first)

@@ -504,3 +504,12 @@ def test_no_job_with_a_value_out_of_range_is_posted_for_processes_that_trust_it(
     config = replace(job.config, guard=replace(job.config.guard, **{key: math.nan}))
     with pytest.raises(ConfigError, match=f"guard.{key}: nan"):
         replace(job, config=config).post(memory)
+
+
+def test_a_controller_fits_into_the_job_with_its_files_or_is_refused(memory, job_of):
+    job = job_of(memory)
+    largest = replace(job, controller_source=bytes(1_500_000))
+    largest.post(memory)
+    assert type(job).of(memory) == largest
+    with pytest.raises(ConfigError, match=r"the files beside it .* make 1\.5 MB compressed: must be at most 1\.5 MB"):
+        replace(job, controller_source=bytes(1_500_001)).post(memory)
