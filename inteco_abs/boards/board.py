@@ -59,7 +59,7 @@ class Reading(NamedTuple):
     value: float | None
     """None if the board's numbers give no value."""
     unit: str
-    """`1` for a flag."""
+    """Unit; `1` for a flag."""
     status: Status
     """How well the register is known; the meaning of the alarm flags is not."""
     meaning: str

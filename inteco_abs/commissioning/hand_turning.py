@@ -33,7 +33,7 @@ class HandTurn(NamedTuple):
 
     channel: int
     counts: int
-    """Signed."""
+    """Signed counts."""
 
 
 class Unclear(Exception):  # noqa: N818  not yet an error: the operator may turn again

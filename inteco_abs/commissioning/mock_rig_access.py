@@ -37,11 +37,11 @@ class MockRigAccess(RigAccess):
         self._front_end = front_end_of(self.device)
 
     def devices(self, config: RigConfig) -> list[FoundBoard]:
-        """Only the mock."""
+        """Return only the mock board."""
         return [FoundBoard("sim:", f"the mock {config.board.kind} board with the simulated rig, in this program")]
 
     def open(self, config: RigConfig) -> Board:
-        """The mock, called directly."""
+        """Return the mock board, called directly."""
         return board_behind(self.link(), config, self.now_ns)
 
     @contextmanager
@@ -59,7 +59,7 @@ class MockRigAccess(RigAccess):
         return InProcessLink(self._front_end)
 
     def now_ns(self) -> int:
-        """Virtual time."""
+        """Return the virtual time in ns."""
         return self._now_ns
 
     def pause(self, seconds: float) -> None:
@@ -123,7 +123,7 @@ class _VirtualClient(ManualClient):
         self._stop = stop
 
     def now_ns(self) -> int:
-        """Virtual time."""
+        """Return the virtual time in ns."""
         return self._rig.now_ns()
 
     def next_ticks(self) -> npt.NDArray[np.void]:

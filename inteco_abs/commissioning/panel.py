@@ -26,7 +26,7 @@ AGAIN: Final = (
 )
 _MODES: Final = ("8-bit", "12-bit")
 _RPM: Final = 9.549296585513721
-"""60 / (2 pi)."""
+"""rpm per rad/s: 60 / (2 pi)."""
 
 Output = Literal["drive", "brake"]
 
@@ -36,7 +36,7 @@ class WheelState(NamedTuple):
 
     name: str
     counts: int
-    """Since the zero."""
+    """Counts since the zero was set."""
     turns: float
     speed_rad_s: float
     """Mean over the last 0.1 s."""
@@ -94,7 +94,7 @@ class Panel:
 
     @property
     def request(self) -> Command:
-        """The sliders as duties."""
+        """Return the sliders' positions as duties."""
         return Command(self.sliders["drive"] / 100, self.sliders["brake"] / 100)
 
     def press(self, now_ns: int) -> bool:

@@ -31,11 +31,11 @@ class ConfigKey(NamedTuple):
     """One key of the configuration."""
 
     path: str
-    """Dotted, as for --set."""
+    """Dotted key, as for --set."""
     kind: str
     """Type and range as text."""
     default: Any
-    """None without a default."""
+    """Default value; None without one."""
     meaning: str
     of: str = ""
     """Controller of a gain; several controllers have gains of one name."""

@@ -18,7 +18,7 @@ class _Ceiling(NamedTuple):
     seconds: float | None
     """Ceiling as a time, converted to exchanges by the loop's rate; None: `least` is the ceiling."""
     least: float
-    """Allowed at any rate."""
+    """Limit that is allowed at any rate."""
     because: str
 
     def at(self, rate_hz: float) -> float:

@@ -51,7 +51,7 @@ class GuardConstants:
     brake_limit: float
     drive_limit: float
     over_speed: float
-    """rad/s"""
+    """Largest speed of either wheel, rad/s."""
     most_in_a_row: int
     bucket_limit: int
     period_s: float

@@ -91,14 +91,14 @@ class PhaseMachine(MachineState):
         )
         super().__init__(empty_window(start), empty_window(stop), phase, experiment.stops - 1)
         self.controller = controller
-        """Of this stop."""
+        """Controller of this stop."""
         self.controller_as_made = deepcopy(controller) if self.stops_left else controller
         """What each further stop begins with a copy of."""
         self._last = _NO_DEMAND
 
     @property
     def demand(self) -> BrakeDemand:
-        """Behind the newest request."""
+        """Return the demand behind the newest request."""
         return self._last if self.held else _NO_DEMAND
 
     def fail(self) -> None:

@@ -49,7 +49,7 @@ class DriveConstants:
     friction_nm: float
     drag_nm_s: float
     inertia: float
-    """kg m2"""
+    """Inertia of both wheels, seen from the road wheel, kg m2."""
     factor: float
     """How many times slower and faster than this drive a run-up may be."""
 
@@ -61,7 +61,7 @@ class RunUpConstants:
     published: DriveConstants
     own: DriveConstants
     identified: bool
-    """Whether there is such a one of its own."""
+    """Whether the lab has identified its own drive."""
     angle_ns: float
     """Angle of one count, times 1e9."""
     look_ns: int
@@ -72,12 +72,12 @@ class Bounds:
     """The slowest and the fastest possible run-up: first-order approaches to speeds at which all torques balance."""
 
     slow_end: float = 0.0
-    """rad/s"""
+    """Speed that the slowest run-up approaches, rad/s."""
     slow_lag_s: float = 0.0
     fast_end: float = 0.0
     fast_lag_s: float = 0.0
     straight: float = 0.0
-    """rad/s2"""
+    """Acceleration of the slowest straight run-up, rad/s2."""
     least: float = 0.0
     """Slowest speed that is possible now."""
     most: float = 0.0

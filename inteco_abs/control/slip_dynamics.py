@@ -38,7 +38,7 @@ class SlipConstants:
 
 
 def slip_terms(k: SlipConstants, slip: float, road_speed: float) -> tuple[float, float]:
-    """`BrakingModel.terms`, unchecked."""
+    """Return f and g as `BrakingModel.terms` does, unchecked."""
     mu = formula(k.parameters, slip)
     S, rolling, ratio = mu / (k.lever * (k.sin - mu * k.cos)), 1.0 - slip, k.ratio
     f = (

@@ -47,9 +47,9 @@ class Case(NamedTuple):
     slips: tuple[AtSlip, ...]
     """The box at the slips for which the conditions of sliding must hold."""
     speeds: Floats
-    """Rising, rad/s."""
+    """Rising speeds of the road, rad/s."""
     brake_limit: float
-    """Duty."""
+    """Largest brake duty."""
     period_s: float
 
     @property

@@ -32,7 +32,7 @@ class Segment:
     kind: SegmentKind
     counts_per_turn: int
     time_s: Floats
-    """Since the first sample."""
+    """Time since the first sample, s."""
     wheel_count: Floats
     road_count: Floats
     drive: Floats

@@ -68,9 +68,9 @@ class PowerInterface(NamedTuple):
     """Measurements of the power interface between the board and the motors."""
 
     supply_v: float = 24.0
-    """A guess."""
+    """Supply voltage; a guess."""
     temperature_celsius: float = 21.0
-    """On the manual's screens."""
+    """Temperature as on the manual's screens."""
     alarms: int = 0b111
     """All three flags are on in the manual's screens, with no fault and the motor turning (K2)."""
 

@@ -26,13 +26,13 @@ def require_slip(slip: float) -> None:
 
 
 def formula(k: RigParameters, slip: float) -> float:
-    """`adhesion`, unchecked."""
+    """Return the adhesion as `adhesion` does, unchecked."""
     power = elementary.power(slip, k.p)
     return k.w4 * power / (k.a + power) + ((k.w3 * slip + k.w2) * slip + k.w1) * slip
 
 
 def formula_slope(k: RigParameters, slip: float) -> float:
-    """`adhesion_slope`, unchecked."""
+    """Return the slope as `adhesion_slope` does, unchecked."""
     below = k.a + elementary.power(slip, k.p)
     saturating = 0.0 if slip == 0.0 else k.w4 * k.a * k.p * elementary.power(slip, k.p - 1.0) / (below * below)
     return saturating + (3.0 * k.w3 * slip + 2.0 * k.w2) * slip + k.w1

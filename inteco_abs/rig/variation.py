@@ -10,7 +10,7 @@ from typing import Final, Literal
 from inteco_abs.rig.parameters import RigParameters
 
 LONGEST_DEAD_TIME_S: Final = 0.2
-"""Of a rig's brake."""
+"""Longest dead time of a rig's brake."""
 MOST_DELAY_TICKS: Final = 8
 """From a sample to its command."""
 _ANY: Final = (-math.inf, math.inf)

@@ -124,7 +124,7 @@ class VariableRun(NamedTuple):
     number: int
     """Number of messages."""
     records: bytes
-    """The chunk."""
+    """Records of the chunk, uncompressed."""
     start: int
     end: int
     """Offsets in the chunk."""

@@ -31,7 +31,7 @@ class CaptureSummary(NamedTuple):
     duration_s: float
     traffic: dict[str, MessageTiming]
     errors: dict[str, int]
-    """Count by text."""
+    """Number of errors by text."""
     control_transfers: int
     warnings: tuple[str, ...]
     logic_version: int | None

@@ -67,7 +67,7 @@ class LawConstants:
 
     reference: float
     hold_below: float
-    """rad/s"""
+    """Road speed below which the last demand is held, rad/s."""
     model: SlipConstants
     full_nm: float
     """Torque at full duty."""

@@ -56,7 +56,7 @@ class ProportionalIntegral(LinearState):
         self.k = LinearConstants(setup.reference_slip, Kp, Ki, bias)
 
     def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:
-        """Limited duty."""
+        """Return the limited duty."""
         return proportional_integral(self.k, self, estimate, dt_s)
 
 

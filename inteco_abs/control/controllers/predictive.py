@@ -26,7 +26,7 @@ class PredictiveConstants:
 
     reference: float
     hold_below: float
-    """rad/s"""
+    """Road speed below which the last demand is held, rad/s."""
     contact: WheelConstants
     points: Points
     """The brake's map."""

@@ -56,7 +56,7 @@ class DiscState(CountState):
 
 
 def rolling_wheel(k: DiscConstants) -> DiscState:
-    """Before the first count."""
+    """Return the state before the first count."""
     s = DiscState()
     s.P[3][3] = s.P[4][4] = k.wave
     restart(k, s, 0.0, 0.0, ANY_SPEED_SD)

@@ -15,7 +15,7 @@ class FaultValue(NamedTuple):
     low: float = -math.inf
     high: float = math.inf
     default: float | None = None
-    """None: required."""
+    """Default value; None: the value is required."""
     words: tuple[str, ...] = ()
     """Allowed words, if the value is a word; a fault keeps its index."""
 

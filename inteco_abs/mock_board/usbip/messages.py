@@ -51,7 +51,7 @@ class Submit(NamedTuple):
     device_id: int
     reads: bool
     endpoint: int
-    """Number, without direction."""
+    """Endpoint number, without direction."""
     length: int
     setup: SetupPacket
     short_not_ok: bool

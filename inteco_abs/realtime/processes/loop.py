@@ -33,7 +33,7 @@ _NONE: Final = Reason.NONE
 _STALL_NS: Final = 100_000_000
 """A tick this late is a pause of the computer: five periods of the slowest loop, well within the window."""
 _NAP_NS: Final = 50_000_000
-"""Shorter than any suspension."""
+"""Length of a nap, shorter than any suspension."""
 _STOP, _GUARDIAN_STOP, _GUARDIAN_BEAT = int(Field.STOP), int(Field.GUARDIAN_STOP), int(Field.GUARDIAN_BEAT_NS)
 _REASONS: Final = {int(reason): reason for reason in Reason}
 
