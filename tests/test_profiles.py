@@ -211,11 +211,11 @@ class TestLimits:
     @pytest.mark.parametrize(
         ("setting", "because"),
         [
-            ("guard.silence_s=0.09", "guard.silence_s at most 0.08, and 0.09 is asked for"),
-            ("guard.missed_in_a_row=11", "guard.missed_in_a_row at most 10, and 11 is asked for"),
-            ("guard.bucket_limit=31", "guard.bucket_limit at most 30, and 31 is asked for"),
-            ("guard.brake_limit=0.75", "guard.brake_limit at most 0.7, and 0.75 is asked for"),
-            ("guard.run_up_factor=1.6", "guard.run_up_factor at most 1.5, and 1.6 is asked for"),
+            ("guard.silence_s=0.09", "guard.silence_s at most 0.08, and 0.09 is requested"),
+            ("guard.missed_in_a_row=11", "guard.missed_in_a_row at most 10, and 11 is requested"),
+            ("guard.bucket_limit=31", "guard.bucket_limit at most 30, and 31 is requested"),
+            ("guard.brake_limit=0.75", "guard.brake_limit at most 0.7, and 0.75 is requested"),
+            ("guard.run_up_factor=1.6", "guard.run_up_factor at most 1.5, and 1.6 is requested"),
         ],
     )
     def test_more_than_was_signed_opens_read_only_wherever_it_is_requested(self, signed, setting, because):
@@ -261,8 +261,8 @@ class TestLimits:
         found = {one.path: one.problem for one in refused.value.mistakes}
         signs = ": more needs a signed profile; sign one with inteco-abs commission"
         assert found == {
-            "guard.silence_s": f"at most 0.05, and 0.08 is asked for{signs}",
-            "guard.brake_limit": f"at most 0.7, and 0.8 is asked for{signs}",
+            "guard.silence_s": f"at most 0.05, and 0.08 is requested{signs}",
+            "guard.brake_limit": f"at most 0.7, and 0.8 is requested{signs}",
         }
 
     @pytest.mark.parametrize("name", [name for name in REAL if name != "usb2_tras"])

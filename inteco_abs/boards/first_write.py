@@ -16,7 +16,7 @@ class Remark(StrEnum):
     NONE = ""
     UNKNOWN = "no field is known here: sent back as read"
     CUT = "no field is known here: sent back without its top bit, which marks a command"
-    RUNS = "a PWM that this wiring does not use is on, and goes on"
+    RUNS = "a PWM that this wiring does not use is on, and stays on"
     NUMBER = "numbers the frames: another in each"
 
 

@@ -37,7 +37,7 @@ _COVERED: Final = tuple(key for key in COVERED if key != "evidence")
 _LOGIC: Final = re.compile(r"^((?:logic_version|verified_logic) = )(\d+)$", re.MULTILINE)
 """Logic versions, which the boards' documents give in hex."""
 _HEADING: Final = """\
-# Profile of one rig, written by `inteco-abs commission`; comments of your own are not kept when it goes on.
+# Profile of one rig, written by `inteco-abs commission`; your own comments are not kept when it continues.
 # To use it: inteco-abs run --board ADDRESS --set profile={name}
 
 """

@@ -48,7 +48,7 @@ def laxer_limits(signed: Table, table: Table) -> list[str]:
     usual = defaults(GuardConfig)
     limits, asked = (usual | section_of(each, "guard") for each in (signed, table))
     return [
-        f"guard.{key} at most {limits[key]:g}, and {asked[key]:g} is asked for"
+        f"guard.{key} at most {limits[key]:g}, and {asked[key]:g} is requested"
         for key in usual
         if isinstance(limits[key], int | float) and isinstance(asked[key], int | float) and asked[key] > limits[key]
     ]

@@ -129,7 +129,7 @@ class _View:
                 self._show()
             self._leave()
         except Exception as error:  # noqa: BLE001  a viewer must not end the recording
-            print(f"inteco-abs: the live view has ended, and the run goes on: {error}", file=sys.stderr)  # noqa: T201
+            print(f"inteco-abs: the live view has ended, and the run continues: {error}", file=sys.stderr)  # noqa: T201
         finally:
             self._selector.close()
             for one in (self._listener, *(viewer.socket for viewer in self._viewers)):

@@ -203,8 +203,8 @@ class FailoverWriter:
                 self._move_to(self._spill)
             except AbsError as second:
                 self._problems.append(on_one_line(second))
-        goes_on = "its ticks are kept in memory" if self._failed else f"it is now written to {self.path}"
-        self._report(f"{'; '.join(self._problems[known:])}; the run goes on, and {goes_on}", self.path)
+        where = "its ticks are kept in memory" if self._failed else f"it is now written to {self.path}"
+        self._report(f"{'; '.join(self._problems[known:])}; the run continues, and {where}", self.path)
 
     def _move_to(self, path: Path) -> None:
         recorder = self._open(path)

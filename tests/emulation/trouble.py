@@ -182,7 +182,7 @@ def _fails_while_safe_is_written(cause, _words):
 
 
 for _name, _trouble in TROUBLES.items():
-    SCENARIOS[f"{_name}, and the run goes on"] = _goes_on(*_trouble)
+    SCENARIOS[f"{_name}, and the run continues"] = _goes_on(*_trouble)
     SCENARIOS[f"{_name}, and the run ends with SAFE"] = _ends_safe(*_trouble)
     SCENARIOS[f"{_name}, while SAFE is written"] = _fails_while_safe_is_written(*_trouble)
 

@@ -160,7 +160,7 @@ def test_trouble_while_serving_ends_the_view_and_nothing_else(memory, job, loop,
     monkeypatch.setattr(RingReader, "newest", fail)
     with live_view(memory, job):
         loop.append()
-    assert capfd.readouterr().err == "inteco-abs: the live view has ended, and the run goes on: no more room\n"
+    assert capfd.readouterr().err == "inteco-abs: the live view has ended, and the run continues: no more room\n"
 
 
 def refuses(port):

@@ -155,7 +155,7 @@ def test_when_the_folder_vanishes_the_whole_session_is_in_the_second_folder(kept
     assert f"the whole session is in {run.spill}" in account.trouble
     ((text, path),) = run.said
     assert path == run.spill
-    assert "the run goes on, and it is now written to" in text
+    assert "the run continues, and it is now written to" in text
     session = whole(run.spill, run)
     assert [event.text for event in session.log if event.level == 3] == [f"{run.out} is gone: {GONE}"]
     if at in {0, SLICES - 1}:

@@ -400,7 +400,7 @@ def test_a_disk_that_refuses_ends_no_run_and_the_file_is_made_from_memory(live, 
     no_more_room(run, "recorder")
     code, card, message = run.end()
     assert (code, card["outcome"], card["lost_ticks"]) == (3, "completed", 0), message
-    assert "the run goes on, and its ticks are kept in memory" in message
+    assert "the run continues, and its ticks are kept in memory" in message
     assert f"the whole session is in {run.out}" in message
     assert_nothing_lost(run, replayed)
     assert_left_nothing_behind(run)
@@ -417,7 +417,7 @@ def test_when_the_folder_vanishes_the_run_continues_and_its_session_is_in_the_se
     code, card, message = run.end()
     run.out = spill / "stop.mcap"
     assert (code, card["outcome"], card["session"]) == (3, "completed", str(run.out)), message
-    assert f"the run goes on, and it is now written to {run.out}" in message
+    assert f"the run continues, and it is now written to {run.out}" in message
     assert_nothing_lost(run, replayed)
     assert_left_nothing_behind(run)
 

@@ -61,7 +61,7 @@ PANELS: Final = (
         PlotLine("slip_reference", "reference", "dotted", GREY),
     )),
     PlotPanel("torque", "Brake torque", "torque [N m]", (
-        PlotLine("torque_demand_nm", "asked for by the law", "solid", BLUE),
+        PlotLine("torque_demand_nm", "demanded by the law", "solid", BLUE),
         PlotLine("true_brake_torque_nm", "true", "dashed", RED),
     )),
     PlotPanel("duty", "Duty cycles", "duty [1]", (
