@@ -46,6 +46,4 @@ class DiskWatch:
         behind = self._ticks.written - words[Field.FLUSHED]
         if not (self._slow or words[Field.TROUBLES]) and behind > _SLOW_S * self._job.config.loop.rate_hz:
             self._slow = True
-            screen.warn(
-                f"the disk of {self._job.session} is slow: for now, ticks are in memory only; the run continues"
-            )
+            screen.warn(f"the disk of {self._job.session} is slow: ticks are in memory only for now; the run continues")
