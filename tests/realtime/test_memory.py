@@ -510,6 +510,6 @@ def test_a_controller_fits_into_the_job_with_its_files_or_is_refused(memory, job
     job = job_of(memory)
     largest = replace(job, controller_source=bytes(1_500_000))
     largest.post(memory)
-    assert type(job).of(memory) == largest
+    assert type(job).of(memory).controller_source == largest.controller_source
     with pytest.raises(ConfigError, match=r"the files beside it .* make 1\.5 MB compressed: must be at most 1\.5 MB"):
         replace(job, controller_source=bytes(1_500_001)).post(memory)
