@@ -12,11 +12,16 @@ from queue import SimpleQueue
 from threading import Thread
 from typing import Any, Final, cast
 
+if sys.platform != "win32":
+    import resource
+
 from inteco_abs.entry_points import Registry, attribute, foreign_code
 from inteco_abs.errors import ConfigError, near_match
 
 _OPTION: Final = "--executor"
 _LOOK_S: Final = 0.1
+_FILES_EACH: Final = 10
+"""Files that a pool of one process opens, at most."""
 ExecutorFactory = Callable[..., Executor]
 
 
@@ -41,6 +46,7 @@ class LocalProcesses(Executor):
 
     def __init__(self, count: int) -> None:
         self._count = count
+        _allow_files(_FILES_EACH * count)
         self._threads = ThreadPoolExecutor(count)
         self._idle = SimpleQueue[ProcessPoolExecutor]()
         for _ in range(count):
@@ -74,6 +80,14 @@ class LocalProcesses(Executor):
             for process in active_children() if kind else ():
                 process.terminate()
             ending.join(_LOOK_S)
+
+
+def _allow_files(count: int) -> None:
+    """Let this process open so many files more, as far as the system does; the usual 1024 are few for 128 cores."""
+    if sys.platform != "win32":
+        soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+        wanted = soft + count
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted if hard < 0 else min(wanted, hard), hard))
 
 
 def _one_process() -> ProcessPoolExecutor:

@@ -40,8 +40,10 @@ def render_sweep(rows: Sequence[SweepRow]) -> RenderableType:
 
 
 def _table(name: str, rows: Sequence[SweepRow]) -> Table:
-    count = max(row.stops for row in rows)
-    title = f"{name}: slip RMS of {count} {'stops' if count > 1 else 'stop'} each"
+    counts = {row.stops for row in rows}
+    count = max(counts)
+    most = "at most " if len(counts) > 1 else ""  # of a sweep that is under way
+    title = f"{name}: slip RMS of {most}{count} {'stops' if count > 1 else 'stop'} each"
     table = Table(title=title, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("controller on estimator", overflow="fold")
     for heading in _HEADINGS:

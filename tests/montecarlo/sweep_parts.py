@@ -27,6 +27,10 @@ def two_threads():
     return ThreadPoolExecutor(2)
 
 
+def some_threads(count):
+    return ThreadPoolExecutor(int(count))
+
+
 def killed_once(mark):
     """End this process as the kernel does when memory is short; the next time do nothing."""
     if not mark.exists():

@@ -1,13 +1,17 @@
 """A stored sweep survives: killed and doubled workers, parts, failures, another sweep's files."""
 
+import io
 import json
+import resource
 import sys
 from concurrent.futures import BrokenExecutor
+from pathlib import Path
 
 import numpy as np
 import polars as pl
 import pytest
 import sweep_parts as parts
+from rich.console import Console
 
 from inteco_abs.control import CONTROLLERS
 from inteco_abs.errors import AbsError, ConfigError
@@ -18,10 +22,12 @@ from inteco_abs.montecarlo import (
     SweepFolder,
     SweepPlan,
     combinations,
+    count_workers,
     named_executor,
     parse_draws,
     work,
 )
+from inteco_abs.montecarlo.table import draw_sweep, render_sweep
 from inteco_abs.plugins import Controllers, Origin, load_controller
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
@@ -30,6 +36,9 @@ GRID = combinations(["experiment.start_speed_rad_s=12", "controller.name=steps,r
 DRAWS = [parse_draws("hard:0-24"), parse_draws("capped:0-9")]
 PLAN = SweepPlan(GRID, DRAWS, run_up=False)
 """Eight units of short stops."""
+
+
+OPEN = Path("/proc/self/fd")
 
 
 def digest(folder):
@@ -78,6 +87,19 @@ def test_what_is_stored_is_what_is_missing_no_more(whole, begun):
     assert counts[-1] == (70, 70)
     assert files(begun) == files(whole)
     assert work(begun, InThisProcess()) == (0, 0, 0)
+
+
+def test_rows_that_are_under_way_have_a_table_and_a_figure(whole, begun, tmp_path):
+    names = ("0-hard-0-10", "0-hard-20-5", "1-hard-0-10", "0-capped-0-10")
+    for name in names:
+        (begun.path / "part" / f"{name}.parquet").write_bytes(files(whole)[f"{name}.parquet"])
+    rows = begun.rows()
+    assert [row.stops for row in rows] == [15, 10, len(DRAWS[1].seeds)]
+    console = Console(width=80, record=True, file=io.StringIO())
+    console.print(render_sweep(rows))
+    assert "hard:0-24: slip RMS of at most 15 stops each" in console.export_text()
+    draw_sweep(rows, tmp_path / "rms.svg")
+    assert (tmp_path / "rms.svg").exists()
 
 
 def test_parts_make_the_whole(whole, begun):
@@ -145,6 +167,17 @@ def test_a_killed_process_loses_its_task_and_another_takes_its_place(tmp_path):
         assert pool.submit(parts.killed_once, tmp_path / "mark").result() == "survived"
 
 
+def test_a_pool_for_many_cores_may_open_more_files_than_the_shell_allows():
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    files = len(list(OPEN.iterdir()))
+    try:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (files + 100, limits[1]))
+        with LocalProcesses(100):
+            assert len(list(OPEN.iterdir())) > files + 100
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+
+
 def test_a_folder_with_another_sweep_is_refused(begun):
     other = SweepPlan(GRID, DRAWS[:1], run_up=False)
     with pytest.raises(ConfigError, match=f"has the sweep {PLAN.name[:12]}, and this is {other.name[:12]}"):
@@ -207,6 +240,16 @@ def test_units_are_few_for_many_draws_and_are_made_one_by_one():
 def test_an_executor_of_a_package_is_named_by_module_and_callable():
     with named_executor("sweep_parts:two_threads") as executor:
         assert executor.submit(abs, -1).result() == 1
+
+
+def test_an_executor_that_a_package_offers_is_known_by_its_name(tmp_path, monkeypatch):
+    offer = tmp_path / "lab_cluster-1.0.dist-info"
+    offer.mkdir()
+    (offer / "METADATA").write_text("Metadata-Version: 2.1\nName: lab-cluster\nVersion: 1.0\n")
+    (offer / "entry_points.txt").write_text("[inteco_abs.executors]\nlab = sweep_parts:some_threads\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with named_executor("lab=3") as executor:
+        assert count_workers(executor) == 3
 
 
 @pytest.mark.parametrize(
