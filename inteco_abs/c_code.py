@@ -20,6 +20,7 @@ import inspect
 import math
 import re
 import subprocess
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
@@ -131,9 +132,9 @@ def translated(roots: Sequence[Callable[..., Any]]) -> str:
     """C of these functions, whose names are their own, and of all that they use. Raises AbsError with file and line."""
     program = _Program()
     for root in roots:
-        hints = get_type_hints(root)
-        types = [program.annotated(hints[name]) for name in inspect.signature(root).parameters]
-        program.function(root, types, root=True)
+        program.roots[root, program.types_of(root)] = root.__name__
+    for root, types in program.roots:
+        program.function(root, types)
     return "\n".join([_PRELUDE, *program.types.values(), *program.constants.values(), *program.functions])
 
 
@@ -164,11 +165,12 @@ def structured(record: Any) -> ctypes.Structure:
 def _fields(kind: type[Any]) -> Iterator[tuple[str, Type]]:
     hints = get_type_hints(kind)
     for field in fields(kind):
-        yield field.name, _SCALARS["Word"] if field.type == "Word" else _field_type(hints[field.name])
+        yield field.name, _type_of(str(field.type), hints[field.name])
 
 
-def _field_type(hint: Any) -> Type:
-    return _record(hint) if is_dataclass(hint) else _SCALARS[hint.__name__]
+def _type_of(written: str, hint: Any) -> Type:
+    """Of an annotation: `Word` is an int with another name."""
+    return _record(hint) if is_dataclass(hint) else _SCALARS[written if written in _SCALARS else hint.__name__]
 
 
 def _record(kind: Any) -> _Record:
@@ -185,10 +187,15 @@ def _literal(value: float) -> str:
     return "(double)NAN" if math.isnan(value) else "(double)INFINITY" if value > 0.0 else "-(double)INFINITY"
 
 
-def _initializer(value: Any) -> str:
+def initializer(value: Any) -> str:
+    """A number, or a tuple or dataclass of them, as C has it where a variable begins."""
     if is_dataclass(value):
         value = [getattr(value, field.name) for field in fields(value)]
-    return f"{{{', '.join(map(_initializer, value))}}}" if isinstance(value, tuple | list) else _literal(value)
+    return f"{{{', '.join(map(initializer, value))}}}" if isinstance(value, tuple | list) else _literal(value)
+
+
+_Key = tuple[Any, tuple[Type, ...]]
+"""A function and the types of its arguments."""
 
 
 class _Program:
@@ -198,14 +205,21 @@ class _Program:
         self.types: dict[str, str] = {}
         self.constants: dict[str, str] = {}
         self.functions: list[str] = []
-        self._found: dict[tuple[FunctionType, tuple[Type, ...]], _Function] = {}
-        self._begun: set[tuple[FunctionType, tuple[Type, ...]]] = set()
+        self.roots: dict[_Key, str] = {}
+        """Names that others call them by."""
+        self._found: dict[_Key, _Function] = {}
+        self._begun: set[_Key] = set()
+        self._named = Counter[str]()
 
-    def annotated(self, hint: Any) -> Type:
-        """Type of a root's parameter."""
+    def types_of(self, root: Any) -> tuple[Type, ...]:
+        """Of a root's parameters, by its annotations."""
+        hints, parameters = get_type_hints(root), inspect.signature(root).parameters
+        return tuple(self._annotated(parameters[name].annotation, hints[name]) for name in parameters)
+
+    def _annotated(self, written: str, hint: Any) -> Type:
         if get_origin(hint) is list:
-            return self.row(self.annotated(get_args(hint)[0]), "")
-        return self.record(hint) if is_dataclass(hint) else _SCALARS[hint.__name__]
+            return self.row(_type_of("", get_args(hint)[0]), "")
+        return self.record(hint) if is_dataclass(hint) else _type_of(written, hint)
 
     def record(self, kind: Any) -> _Record:
         """The struct of a dataclass."""
@@ -248,27 +262,30 @@ class _Program:
             return _C(_literal(value), of, atom=not _literal(value).startswith("-"))
         if name not in self.constants:
             if isinstance(of, _Row):
-                rows = f"static const {of.item.c} {name}_at[] = {_initializer(value)};\n"
+                rows = f"static const {of.item.c} {name}_at[] = {initializer(value)};\n"
                 own = f"{{{name}_at, {len(value)}}}"
             else:
-                rows, own = "", _initializer(value)
+                rows, own = "", initializer(value)
             self.constants[name] = f"{rows}static const {of.c} {name} = {own};\n"
         return _C(f"&{name}" if isinstance(of, _Record) else name, of, atom=not isinstance(of, _Record))
 
-    def function(self, python: Any, types: Sequence[Type], *, root: bool = False) -> _Function:
+    def function(self, python: Any, types: tuple[Type, ...]) -> _Function:
         """A function for such arguments, which is translated once."""
-        key = (python, tuple(types))
-        if key in self._begun - self._found.keys():
-            raise AbsError(f"{python.__module__}.{python.__name__} calls itself: cannot be translated to C")
-        self._begun.add(key)
+        key = (python, types)
         if key not in self._found:
-            name = python.__name__ if root else f"{python.__module__.rpartition('.')[2]}_{python.__name__}"
-            others = sum(one.name.partition("__of_")[0] == name for one in self._found.values())
+            if key in self._begun:
+                raise AbsError(f"{python.__module__}.{python.__name__} calls itself: cannot be translated to C")
+            self._begun.add(key)
+            name = self.roots.get(key) or self._name(python)
             body = _Body(self, python, types)
-            text = body.text(f"{name}__of_{others + 1}" if others else name, static="" if root else "static ")
-            self.functions.append(text)
-            self._found[key] = _Function(f"{name}__of_{others + 1}" if others else name, body.returns, body.changes)
+            self.functions.append(body.text(name, static="" if key in self.roots else "static "))
+            self._found[key] = _Function(name, body.returns, body.changes)
         return self._found[key]
+
+    def _name(self, python: FunctionType) -> str:
+        name = f"{python.__module__.rpartition('.')[2]}_{python.__name__}"
+        self._named[name] += 1
+        return name if self._named[name] == 1 else f"{name}__of_{self._named[name]}"
 
 
 def _struct(name: str, lines: Sequence[str]) -> str:
@@ -278,7 +295,7 @@ def _struct(name: str, lines: Sequence[str]) -> str:
 class _Body:
     """One function."""
 
-    def __init__(self, program: _Program, python: FunctionType, types: Sequence[Type]) -> None:
+    def __init__(self, program: _Program, python: FunctionType, types: tuple[Type, ...]) -> None:
         self._program, self._python = program, python
         tree = ast.parse(inspect.getsource(python)).body[0]
         ast.increment_lineno(tree, python.__code__.co_firstlineno - 1)
@@ -605,7 +622,7 @@ class _Body:
         return _C(f"frexp_both({parts[0].text})", pair)
 
     def _own_call(self, node: ast.Call, called: FunctionType, parts: list[_C], *, changing: bool) -> _C:
-        found = self._program.function(called, [part.type for part in parts])
+        found = self._program.function(called, tuple(part.type for part in parts))
         if found.changes:
             self.changes = True
             if not changing:

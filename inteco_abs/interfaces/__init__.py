@@ -1,1 +1,1 @@
-"""The rig for tools of other fields. Each module needs its own extra, so this package loads none of them."""
+"""The rig for tools of other fields. Most modules need an extra of their own, so this package loads none."""

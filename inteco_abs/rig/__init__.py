@@ -13,14 +13,23 @@ from inteco_abs.rig.plant import Plant
 from inteco_abs.rig.population import LONGEST_BRAKING_S, POPULATIONS, draw
 from inteco_abs.rig.rng import WORD, mixed
 from inteco_abs.rig.torque_margin import holding_torque, torque_margin
-from inteco_abs.rig.variation import LONGEST_DEAD_TIME_S, MOST_DELAY_TICKS, EncoderVariation, RigVariation
+from inteco_abs.rig.variation import (
+    ENCODER_RANGES,
+    LONGEST_DEAD_TIME_S,
+    MOST_DELAY_TICKS,
+    RIG_RANGES,
+    EncoderVariation,
+    RigVariation,
+)
 
 __all__ = [
+    "ENCODER_RANGES",
     "LONGEST_BRAKING_S",
     "LONGEST_DEAD_TIME_S",
     "MEASURED_MAP",
     "MOST_DELAY_TICKS",
     "POPULATIONS",
+    "RIG_RANGES",
     "WORD",
     "AdhesionCurve",
     "BrakeMap",

@@ -33,7 +33,9 @@ class DriveMotor:
     """
 
     stall_torque_nm: float = 1.72
+    """Torque at standstill and full duty, N m."""
     no_load_speed_rad_s: float = 300.0
+    """Speed at which full duty gives no torque, rad/s."""
 
     def torque(self, duty: float, road_speed: float) -> float:
         """Torque in N m at `duty` (0..1) and `road_speed` in rad/s; with no duty there is none, so it coasts."""

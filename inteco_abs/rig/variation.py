@@ -14,14 +14,14 @@ LONGEST_DEAD_TIME_S: Final = 0.2
 MOST_DELAY_TICKS: Final = 8
 """From a sample to its command."""
 _ANY: Final = (-math.inf, math.inf)
-_ENCODER_RANGES: Final = {
+ENCODER_RANGES: Final = {
     "counts_per_turn": (16, 1_000_000),
     "edge_counts": (0.0, 1.0),
     "eccentricity_counts": (0.0, 100.0),
     "eccentricity_phase_rad": _ANY,
     "jitter_counts": (0.0, 10.0),
 }
-_RIG_RANGES: Final = {
+RIG_RANGES: Final = {
     "adhesion_scale": (0.1, 2.0),
     "adhesion_blend": (0.0, 1.0),
     "brake_gain": (0.1, 3.0),
@@ -62,7 +62,7 @@ class EncoderVariation:
     """Standard deviation of the normal noise of each reading, in counts, 0..10."""
 
     def __post_init__(self) -> None:
-        _require_ranges(self, _ENCODER_RANGES)
+        _require_ranges(self, ENCODER_RANGES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +104,7 @@ class RigVariation:
     """Seed of the encoders' noise, 0..2^64-1."""
 
     def __post_init__(self) -> None:
-        _require_ranges(self, _RIG_RANGES)
+        _require_ranges(self, RIG_RANGES)
         if self.brake_map not in {"line", "measured"}:
             raise ValueError(f"brake_map = {self.brake_map!r}: must be 'line' or 'measured'")
 
