@@ -55,6 +55,8 @@ ROWS = [
     Row("rigs in a range reversed", "sweep --rigs hard:9-0", 2, ("the range is reversed",), "write hard:0-9"),
     Row("nearly a population", "sweep --rigs hrd:0-9", 2, ("no population 'hrd'",), "did you mean hard?"),
     Row("nearly a population for one", "run --rig hrd:17", 2, ("'hrd:17'", "simulation.rig"), "did you mean hard?"),
+    Row("a part beyond the last", "sweep --work x --part 3/2", 2, ("'3/2'",), "must look like 3/10"),
+    Row("a part of nothing", "sweep --work x --part 1", 2, ("'1'",), "the third of ten parts"),
     Row("no jobs", "sweep --jobs 0", 2, ("'0'",), "a whole number in 1..1024"),
     Row("no values to sweep", "sweep --set nonsense", 2, ("--set nonsense",), "must look like controller.gains.Mk=2"),
     Row("a setting without equals", "run --set guard.brake_limit", 2, ("has no =",), "look like guard.brake_limit=0.7"),
