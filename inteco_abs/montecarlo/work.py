@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from functools import lru_cache
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -40,7 +40,7 @@ def work(
     """Brake what is missing in `folder`, or in the I-th of N parts of it, on an executor whose workers see the folder.
 
     It has `ahead` units at a time. One that fails three times, as by the death of its worker, is listed in the folder
-    and left. An AbsError of a unit is raised at once, because it would meet the others, too.
+    and left. Raises at once an AbsError of a unit, which would meet the others, too, and for an executor that broke.
     """
     return _Work(folder, executor, part, progress).done(ahead)
 
@@ -85,8 +85,11 @@ class _Work:
             following = self._again.popleft() if self._again else next(iter(missing), None)
             if following is None:
                 break
-            folder = self._folder
-            future = self._executor.submit(brake_unit, str(folder.path.absolute()), folder.plan.name, following[0])
+            path, name = str(self._folder.path.absolute()), self._folder.plan.name
+            try:
+                future = self._executor.submit(brake_unit, path, name, following[0])
+            except BrokenExecutor as error:
+                raise AbsError(f"the executor takes no more units, and the same command continues: {error}") from error
             self._running[future] = following
         return bool(self._running)
 

@@ -4,7 +4,8 @@ import io
 import json
 import resource
 import sys
-from concurrent.futures import BrokenExecutor
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -165,6 +166,15 @@ def test_a_killed_process_loses_its_task_and_another_takes_its_place(tmp_path):
         with pytest.raises(BrokenExecutor):
             first.result()
         assert pool.submit(parts.killed_once, tmp_path / "mark").result() == "survived"
+
+
+def test_an_executor_that_breaks_as_a_whole_is_an_error(begun):
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        broken = pool.submit(parts.killed_once, begun.path / "mark")
+        with pytest.raises(BrokenExecutor):
+            broken.result()
+        with pytest.raises(AbsError, match="takes no more units, and the same command continues"):
+            work(begun, pool)
 
 
 def test_a_pool_for_many_cores_may_open_more_files_than_the_shell_allows():

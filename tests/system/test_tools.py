@@ -125,6 +125,13 @@ def test_bench_deaths_finds_no_tick_lost(untraced):
 
 
 @pytest.mark.long
+@pytest.mark.xdist_group("compiled")
+def test_bench_sweep_finds_the_same_bits_whatever_is_killed(untraced):
+    printed = run("bench_sweep", "400", "--every", "3", "--controller", "reaching-law", environment=untraced)
+    assert printed.splitlines()[-1] == "the same to the last bit"
+
+
+@pytest.mark.long
 def test_bench_ensemble_compares_a_batch_with_scipy_and_the_scalar_plant(untraced):
     rows = run("bench_ensemble", "1", "20", environment=untraced).splitlines()
     assert [row.split(":")[0] for row in rows if row[0] != " "] == [
