@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import difflib
 import struct
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, MutableSequence, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any, Final, NamedTuple, Protocol, Self
@@ -326,7 +326,7 @@ class FrameTable:
         values: dict[str, Value] = {}
         for name in names:
             field, layout = self._find(name)
-            values[name] = field.from_bits(_gather(words, layout), layout)
+            values[name] = field.from_bits(get_bits(words, layout), layout)
         return values
 
     def check(self, frame: Buffer) -> tuple[int, ...]:
@@ -352,7 +352,7 @@ class FrameTable:
 
     def _check_fixed(self, words: Sequence[int]) -> None:
         for field, layout, value in self._fixed:
-            found = _gather(words, layout)
+            found = get_bits(words, layout)
             if found != value:
                 raise ProtocolError(f"{self.title}: {field.name} = 0x{found:04X}, must be 0x{value:04X}")
 
@@ -375,6 +375,16 @@ class FrameTable:
         if found is None:
             found = self._places[name] = self._place(name)
         return found
+
+    def bytes_of(self, name: str) -> Layout:
+        """Return the layout of a field over the frame's bytes, for `get_bits` and `put_bits`."""
+        _, layout = self._find(name)
+        return tuple(
+            Bits(word * self._word_bytes + byte, first - 8 * byte, end - first, shift + first - low)
+            for word, low, width, shift in layout
+            for byte in range(self._word_bytes)
+            if (first := max(low, 8 * byte)) < (end := min(low + width, 8 * byte + 8))
+        )
 
     def _place(self, name: str) -> Place:
         field, layout = self._find(name)
@@ -429,11 +439,26 @@ class Logic(NamedTuple):
         return sum(field.name.endswith("_count") for field in self.fields)
 
 
-def _gather(words: Sequence[int], layout: Layout) -> int:
+def first_word(table: FrameTable, name: str) -> Layout:
+    """Return the layout over bytes of the part of a field that is in its first word."""
+    return tuple(part for part in table.bytes_of(name) if part.shift < table.fields[name][1][0].width)
+
+
+def get_bits(words: Sequence[int], layout: Layout) -> int:
+    """Return the unsigned integer that `layout` has in these words; also compiled, over rows of arrays."""
     raw = 0
-    for word, low, width, shift in layout:
-        raw |= (words[word] >> low & (1 << width) - 1) << shift
+    for i in range(len(layout)):
+        part = layout[i]
+        raw |= (words[part[0]] >> part[1] & (1 << part[2]) - 1) << part[3]
     return raw
+
+
+def put_bits(words: MutableSequence[int], layout: Layout, raw: int) -> None:
+    """Put an integer where `layout` has it in these words, and leave all other bits; compiled as `get_bits`."""
+    for i in range(len(layout)):
+        part = layout[i]
+        word, low, mask = part[0], part[1], (1 << part[2]) - 1
+        words[word] = words[word] & ~(mask << low) | (raw >> part[3] & mask) << low
 
 
 def sent_back(

@@ -28,6 +28,7 @@ try:
 except ImportError as error:
     raise AbsError("many rigs at once need numba: pip install 'inteco-abs[lab]'") from error
 
+_PACKAGE: Final = Path(elementary.__file__).parent
 _PLACE: Final = re.compile(r'File "([^"]+)", line (\d+)')
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -62,6 +63,11 @@ def is_compiled(function: Function) -> bool:
     return bool(native.signatures) or (
         folder is not None and any(Path(folder).glob(f"*.{native.py_func.__qualname__}-*.nbi"))
     )
+
+
+def is_own(function: Function) -> bool:
+    """Whether all source of `function` is this package's: tests ensure that its machine code has the bits of Python."""
+    return all(Path(file).is_relative_to(_PACKAGE) for file in _files(_bound(function)))
 
 
 class _Bound(NamedTuple):
@@ -151,6 +157,18 @@ def record(part: Any) -> Any:
 def records(*parts: Any) -> Any:
     """An array of such records, of instances of one dataclass whose lists are equally long."""
     return np.array([_values(part) for part in parts], _kind(parts[0])).view(np.recarray)
+
+
+def restore(found: Any, part: Any) -> None:
+    """Put what a record holds back into the dataclass's instance that it was made of, or one like it."""
+    for field in fields(part):
+        value, numbers = getattr(part, field.name), found[field.name]
+        if is_dataclass(value):
+            restore(numbers, value)
+        elif isinstance(value, list):
+            value[:] = numbers.tolist()[: len(value)]
+        else:
+            setattr(part, field.name, type(value)(numbers.item()))
 
 
 def _kind(value: Any) -> np.dtype[Any]:

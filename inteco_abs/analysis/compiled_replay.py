@@ -11,6 +11,7 @@ import numpy as np
 from inteco_abs.analysis.tolerance import Array
 from inteco_abs.control import (
     Controller,
+    DecisionState,
     Estimator,
     Function,
     Pipeline,
@@ -21,7 +22,7 @@ from inteco_abs.control import (
     function_of,
 )
 from inteco_abs.format import TICK
-from inteco_abs.machine_code import compile_problem, compiled, is_compiled, record, records
+from inteco_abs.machine_code import compile_problem, compiled, is_compiled, is_own, record, records
 from inteco_abs.signals import BrakeDemand, Command, Phase, Sample
 
 _IDLE, _BRAKING, _STOPPED = Phase.IDLE, Phase.BRAKING, Phase.STOPPED
@@ -51,6 +52,9 @@ class SequenceRecords(NamedTuple):
     machine: Any
     guard_k: Any
     guard: Any
+    decided: Any
+    """A `DecisionState`."""
+    reference_slip: float
 
 
 def replay_rows(pipeline: Pipeline, logged: Array, may_compile: bool) -> Array | None:
@@ -60,33 +64,50 @@ def replay_rows(pipeline: Pipeline, logged: Array, may_compile: bool) -> Array |
     numbers that are not finite; and, unless it `may_compile`, where there is no machine code yet. The pipeline is left
     as it was.
     """
-    machine, guard = pipeline.machine, pipeline.guard
-    parts = _control_records(pipeline.estimator, machine.controller)
-    if parts is None or not _ordinary(logged):
+    found = pipeline_records(pipeline)
+    if found is None or not _ordinary(logged):
         return None
-    sequence = SequenceRecords(*map(record, (machine.k, machine, guard.k, guard)))
     rows = logged.view(np.uint8).copy().view(logged.dtype)
-    loop = _bound(decide_rows, pipeline.estimator, machine.controller)
-    return rows if _run(loop, (parts, sequence, rows, pipeline.reference_slip), may_compile) else None
+    loop = partial(decide_rows, decide=function_of_pipeline(pipeline))
+    return rows if run_compiled(loop, (*found, rows), may_compile) else None
+
+
+def pipeline_records(pipeline: Pipeline) -> tuple[ControlRecords, SequenceRecords] | None:
+    """Records of all parts of a pipeline, or None where one of them is not a function."""
+    machine, guard = pipeline.machine, pipeline.guard
+    parts = _control_records(pipeline.estimator, machine.controller, machine.controller_as_made)
+    if parts is None:
+        return None
+    k, s = (record(machine.k), record(guard.k)), (record(machine), record(guard), record(pipeline.decided))
+    return parts, SequenceRecords(k[0], s[0], k[1], s[1], s[2], pipeline.reference_slip)
+
+
+def function_of_pipeline(pipeline: Pipeline) -> Function:
+    """`decide_row` with the functions of the pipeline's parts."""
+    return _bound(decide_row, pipeline.estimator, pipeline.machine.controller)
 
 
 def demand_rows(
     estimator: Estimator, controller: Controller, logged: Array, dtype: np.dtype[Any], may_compile: bool
 ) -> Array | None:
-    """Rows of type `dtype` with slip, torque and duty that new parts demand for each row; None as by `replay_rows`."""
-    parts = _control_records(estimator, controller)
-    if parts is None or not _ordinary(logged):
+    """Rows of type `dtype` with slip, torque and duty that new parts demand for each row; None as by `replay_rows`.
+
+    None for a user's function, too, as `x**2` is not x*x in Python.
+    """
+    parts = _control_records(estimator, controller, controller)
+    loop = _bound(ask_rows, estimator, controller)
+    if parts is None or not is_own(loop) or not _ordinary(logged):
         return None
     rows = np.zeros(len(logged), dtype)
-    return rows if _run(_bound(ask_rows, estimator, controller), (parts, logged, rows), may_compile) else None
+    return rows if run_compiled(loop, (parts, logged, rows), may_compile) else None
 
 
-def _control_records(estimator: Any, controller: Any) -> ControlRecords | None:
+def _control_records(estimator: Any, controller: Any, as_made: Any) -> ControlRecords | None:
     if function_of(estimator) is None or function_of(controller) is None:
         return None
     try:
         return ControlRecords(
-            record(estimator.k), record(estimator), record(controller.k), records(controller, controller)
+            record(estimator.k), record(estimator), record(controller.k), records(controller, as_made)
         )
     except (AttributeError, TypeError, ValueError):  # a user's function on something else than dataclasses of numbers
         return None
@@ -104,7 +125,8 @@ def _bound(loop: Function, estimator: Estimator, controller: Controller) -> Func
     return partial(loop, estimate=function_of(estimator), control=function_of(controller))
 
 
-def _run(loop: Function, arguments: tuple[Any, ...], may_compile: bool) -> bool:
+def run_compiled(loop: Function, arguments: tuple[Any, ...], may_compile: bool) -> bool:
+    """Run a loop of machine code; False if that is missing, cannot be made, or leaves the rest to Python."""
     if not (may_compile or is_compiled(loop)) or compile_problem(loop, arguments):
         return False
     try:
@@ -113,49 +135,56 @@ def _run(loop: Function, arguments: tuple[Any, ...], may_compile: bool) -> bool:
         return False
 
 
-def decide_rows(
-    parts: ControlRecords,
-    sequence: SequenceRecords,
-    rows: Any,
-    reference_slip: float,
-    estimate: Function,
-    control: Function,
-) -> bool:
-    """Decide as `Pipeline.step` on the inputs of each row, and write the outputs into it.
-
-    False as soon as a number is not finite, where Python may raise and this does not.
-    """
-    (estimator_k, estimator, controller_k, controllers), (machine_k, machine, guard_k, guard) = parts, sequence
-    wheel_speed, road_speed, slip, valid, drive, brake = 0.0, 0.0, 0.0, False, 0.0, 0.0
-    last = nothing = BrakeDemand(0.0, 0.0, 0.0, (0.0, 0.0, 0.0, 0.0))
-    for i in range(rows.size):
-        row = rows[i]
-        flags, request = _signed(row.board_flags), _signed(row.stop_request)
-        sample = Sample(_signed(row.tick), _signed(row.time_ns), row.dt_s, row.wheel_count, row.road_count, flags)
-        if not flags:
-            estimated = estimate(estimator_k, estimator, sample, Command(drive, brake))
-            wheel_speed, road_speed, slip, valid, _ = estimated
-            phase = machine.phase
-            if phase == _BRAKING:
-                last = control(controller_k, controllers[0], estimated, row.dt_s)
-            if not (finite_estimate(estimated) and finite_demand(last)):
-                return False
-            advance_phase(machine_k, machine, sample, last.brake)
-            if phase == _STOPPED and machine.phase == _IDLE:
-                last = nothing
-                controllers[0] = controllers[1]
-        admit_request(guard_k, guard, machine, sample, request)
-        if machine.held or guard.drive != drive or guard.brake != brake:
-            drive, brake = guard.drive, guard.brake
-        row.wheel_speed_rad_s, row.road_speed_rad_s, row.slip, row.estimate_valid = wheel_speed, road_speed, slip, valid
-        row.phase, row.reason = machine.phase, guard.reason
-        row.slip_reference = reference_slip if machine.phase == _BRAKING else math.nan
-        demand = last if machine.held else nothing
-        row.switching, row.torque_demand_nm = demand.switching, demand.torque_nm
-        row.c0, row.c1, row.c2, row.c3 = demand.internals
-        row.drive_request, row.brake_request = machine.drive_request, machine.brake_request
-        row.drive, row.brake = drive, brake
+def decide_rows(parts: ControlRecords, sequence: SequenceRecords, rows: Any, decide: Function) -> bool:
+    """Decide on each row by `decide_row`; False as soon as that is."""
+    for i in range(rows.size):  # noqa: SIM110  numba compiles no generator expression
+        if not decide(parts, sequence, rows[i]):
+            return False
     return True
+
+
+def decide_row(
+    parts: ControlRecords, sequence: SequenceRecords, row: Any, estimate: Function, control: Function
+) -> bool:
+    """Decide as `Pipeline.step` on the inputs of a row, and write the outputs into it.
+
+    False if a number is not finite, where Python may raise and this does not.
+    """
+    estimator_k, estimator, controller_k, controllers = parts
+    machine_k, machine, guard_k, guard, s, reference_slip = sequence
+    flags, request = _signed(row.board_flags), _signed(row.stop_request)
+    sample = Sample(_signed(row.tick), _signed(row.time_ns), row.dt_s, row.wheel_count, row.road_count, flags)
+    if not flags:
+        estimated = estimate(estimator_k, estimator, sample, Command(s.drive, s.brake))
+        s.wheel_speed, s.road_speed, s.slip, s.valid, _ = estimated
+        phase = machine.phase
+        if phase == _BRAKING:
+            demand = control(controller_k, controllers[0], estimated, row.dt_s)
+            if not finite_demand(demand):
+                return False
+            _note(s, demand)
+        if not finite_estimate(estimated):
+            return False
+        advance_phase(machine_k, machine, sample, s.demanded)
+        if phase == _STOPPED and machine.phase == _IDLE:
+            _note(s, BrakeDemand(0.0, 0.0, 0.0, (0.0, 0.0, 0.0, 0.0)))
+            controllers[0] = controllers[1]
+    admit_request(guard_k, guard, machine, sample, request)
+    held = machine.held
+    if held or guard.drive != s.drive or guard.brake != s.brake:
+        s.drive, s.brake = guard.drive, guard.brake
+    row.wheel_speed_rad_s, row.road_speed_rad_s, row.slip = s.wheel_speed, s.road_speed, s.slip
+    row.estimate_valid, row.phase, row.reason = s.valid, machine.phase, guard.reason
+    row.slip_reference = reference_slip if machine.phase == _BRAKING else math.nan
+    row.switching, row.torque_demand_nm = (s.switching, s.torque_nm) if held else (0.0, 0.0)
+    row.c0, row.c1, row.c2, row.c3 = (s.c0, s.c1, s.c2, s.c3) if held else (0.0, 0.0, 0.0, 0.0)
+    row.drive_request, row.brake_request = machine.drive_request, machine.brake_request
+    row.drive, row.brake = s.drive, s.brake
+    return True
+
+
+def _note(s: DecisionState, demand: BrakeDemand) -> None:
+    s.demanded, s.torque_nm, s.switching, (s.c0, s.c1, s.c2, s.c3) = demand
 
 
 def ask_rows(parts: ControlRecords, logged: Any, rows: Any, estimate: Function, control: Function) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from importlib import import_module
 from typing import Any, Final, NamedTuple
 
@@ -11,16 +12,16 @@ from inteco_abs.errors import AbsError
 from inteco_abs.sessions import Session
 
 WORTH_LOADING: Final = 100_000
-"""Ticks that take as long in Python as it takes to load numba and machine code: 0.7 s."""
+"""Ticks that a replay takes as long for in Python as it takes to load numba and machine code: 0.7 s."""
 WORTH_COMPILING: Final = 1_000_000
-"""Ticks that take as long in Python as to compile a loop: 4 s, and with the observer 10 s."""
+"""Ticks that a replay takes as long for in Python as to compile a loop: 4 s, and with the observer 10 s."""
 
-_decided: dict[tuple[type, type], int] = {}
-"""Ticks of which the program was asked for decisions, by types of estimator and controller."""
+_ticks: dict[object, float] = {}
+"""Ticks that this program has asked for so far, by what they need."""
 
 
 class CompiledLoops(NamedTuple):
-    """The module `compiled_replay`, and whether its loops may be compiled where they are not on disk."""
+    """A module of compiled loops, and whether they may be compiled where they are not on disk."""
 
     module: Any
     may_compile: bool
@@ -33,16 +34,25 @@ def compiled_loops(
 
     Those are what this program has replayed with such parts. Machine code has portable arithmetic only and needs numba.
     """
-    key = type(estimator), type(controller)
-    ticks = _decided[key] = _decided.get(key, 0) + len(session.ticks)
-    wanted = ticks >= WORTH_LOADING if compiled is None else compiled
-    if not wanted or recorded_with(session) != elementary.PORTABLE:
+    if compiled is False or recorded_with(session) != elementary.PORTABLE:
+        return None
+    key, module = ("replay", type(estimator), type(controller)), "inteco_abs.analysis.compiled_replay"
+    return paying_loops(module, key, math.inf if compiled else len(session.ticks))
+
+
+def paying_loops(module: str, key: object, ticks: float) -> CompiledLoops | None:
+    """The `module` if it pays for so many ticks, of which each takes as long as one of a replay, and those before.
+
+    Those before had the same `key`. None without numba, too.
+    """
+    if ticks < math.inf:
+        ticks = _ticks[key] = _ticks.get(key, 0.0) + ticks
+    if ticks < WORTH_LOADING:
         return None
     try:
-        module = import_module("inteco_abs.analysis.compiled_replay")
-    except AbsError:  # without numba
+        return CompiledLoops(import_module(module), ticks >= WORTH_COMPILING)
+    except AbsError:
         return None
-    return CompiledLoops(module, compiled or ticks >= WORTH_COMPILING)
 
 
 def recorded_with(session: Session) -> str:

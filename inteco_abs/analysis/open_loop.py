@@ -19,7 +19,6 @@ from inteco_abs.analysis.replay import recorded_arithmetic, require_known
 from inteco_abs.analysis.tolerance import Array
 from inteco_abs.config import RigConfig, apply_setting, parse_config
 from inteco_abs.control import (
-    CONTROLLERS,
     Controller,
     control_check,
     make_controller,
@@ -163,9 +162,7 @@ def what_if(
 def _compiled_requests(
     session: Session, config: RigConfig, controllers: Mapping[str, type[Controller]], compiled: bool | None
 ) -> Array | None:
-    """As `_requests`, by a compiled loop, or None; of the project's own controllers alone, whose bits are tested."""
-    if controllers[config.controller.name] is not CONTROLLERS.get(config.controller.name):
-        return None
+    """As `_requests`, by a compiled loop, or None."""
     estimator, controller = make_estimator(config), make_controller(config, controllers)
     loops = compiled_loops(session, estimator, controller, compiled)
     found: Array | None = loops and loops.module.demand_rows(

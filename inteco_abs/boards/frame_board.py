@@ -8,7 +8,7 @@ from struct import Struct
 from typing import Final
 
 from firmware_protocol import FrameField, FrameTable, Logic, ProtocolError
-from firmware_protocol.fields import BYTE_BITS, sent_back
+from firmware_protocol.fields import BYTE_BITS, first_word, sent_back
 from firmware_protocol.pwm import PWM_FULL_WIDTH
 from inteco_abs.boards.authorization import read_only_reason
 from inteco_abs.boards.board import STILL_ON, Board, BoardReading, Identity
@@ -16,13 +16,12 @@ from inteco_abs.boards.board_clock import BoardClock
 from inteco_abs.boards.constants import constants_of
 from inteco_abs.boards.echoed_pins import EchoedPins
 from inteco_abs.boards.first_write import PlannedWord, planned_words
+from inteco_abs.boards.frame_exchange import EXACT, ExchangeConstants, ExchangeState
 from inteco_abs.boards.transports.links import Link
 from inteco_abs.config import BoardConfig
 from inteco_abs.errors import BoardError, ConfigError, ConfigIssue, LinkError, NoAnswerError
 from inteco_abs.signals import Command
 
-_EXACT: Final = 1e-9
-"""Keeps binary rounding from losing a width."""
 MODES: Final = ("8-bit", "12-bit")
 _MOST_OLD: Final = 100
 """A pause leaves fewer answers to older requests than this."""
@@ -187,6 +186,39 @@ class FrameBoard(Board):
         latch = int(logic.send.decode_some(self._image, ["pin_output"])["pin_output"])
         constant = _mask(self._constants.pins)
         return EchoedPins(logic.send, logic.read, latch, wiring.numbering_pins, wiring.watchdog_pin, constant)
+
+    def exchange_parts(self) -> tuple[ExchangeConstants, ExchangeState] | None:
+        """Return what `put_command` and `take_answer` work on after a good exchange.
+
+        None for a board with a timer or pins in its wiring, or without numbers, and after a failed exchange.
+        """
+        if self._clock is not None or self._pins is not None or self._number_at < 0 or not self._good:
+            return None
+        wiring, send, read = self._wiring, self._logic.send, self._logic.read
+        drive, brake = f"pwm{wiring.drive_pwm}_width", f"pwm{wiring.brake_pwm}_width"
+        number = f"pwm{wiring.numbering_pwm}_prescaler"
+        k = ExchangeConstants(
+            self._full,
+            self._numbers,
+            wiring.wheel_sign,
+            wiring.road_sign,
+            send.bytes_of(drive),
+            send.bytes_of(brake),
+            first_word(send, number),
+            read.bytes_of(drive),
+            read.bytes_of(brake),
+            first_word(read, number),
+            read.bytes_of(f"encoder{wiring.wheel_encoder}_count"),
+            read.bytes_of(f"encoder{wiring.road_encoder}_count"),
+        )
+        counts = *self._raw, self._wheel_count, self._road_count
+        return k, ExchangeState(list(self._image), self._number, *counts, self._tick, self._newest_ns)
+
+    def resume(self, s: ExchangeState, answer: bytes) -> None:
+        """Go on after good exchanges of `exchange_parts`, of which `answer` is the newest answer."""
+        self._image[:], self._number = bytes(s.frame), s.number
+        self._raw, self._wheel_count, self._road_count = (s.wheel_raw, s.road_raw), s.wheel_count, s.road_count
+        self._tick, self._newest_ns, self._newest_frame = s.tick, s.newest_ns, answer
 
     def _start(self) -> tuple[int, int]:
         frame = self._write_off()
@@ -366,7 +398,7 @@ def widths(command: Command, full: int) -> tuple[int, int]:
     if not (0.0 <= command.drive <= 1.0 and 0.0 <= command.brake <= 1.0):  # NaN fails too
         raise BoardError(f"{command}: duties must be in 0..1")  # never masked
     # rounded down: never more than the guard admitted
-    return int(command.drive * full + _EXACT), int(command.brake * full + _EXACT)
+    return int(command.drive * full + EXACT), int(command.brake * full + EXACT)
 
 
 def _require_channels(wiring: BoardConfig, logic: Logic) -> None:

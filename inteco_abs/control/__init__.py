@@ -38,17 +38,19 @@ from inteco_abs.control.factory import (
 from inteco_abs.control.functions import Function, finite_demand, finite_estimate, function_of
 from inteco_abs.control.guard import Guard
 from inteco_abs.control.phase_machine import REST_COUNTS, PhaseMachine, advance_phase, recordable
-from inteco_abs.control.pipeline import Pipeline, admit_request
+from inteco_abs.control.pipeline import OVER, DecisionState, Pipeline, admit_request
 from inteco_abs.control.slip_dynamics import BrakingModel, reaching_law_torque, reaching_time_bound
 from inteco_abs.control.wheel_dynamics import WheelDynamics
 
 __all__ = [
     "CONTROLLERS",
     "ESTIMATORS",
+    "OVER",
     "REST_COUNTS",
     "BoundaryLayer",
     "BrakingModel",
     "Controller",
+    "DecisionState",
     "DelayLine",
     "EdgeTime",
     "Estimator",

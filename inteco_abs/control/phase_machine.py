@@ -94,12 +94,13 @@ class PhaseMachine(MachineState):
         """Controller of this stop."""
         self.controller_as_made = deepcopy(controller) if self.stops_left else controller
         """What each further stop begins with a copy of."""
-        self._last = _NO_DEMAND
+        self.last_demand = _NO_DEMAND
+        """Newest demand of the controller in this stop."""
 
     @property
     def demand(self) -> BrakeDemand:
         """Return the demand behind the newest request."""
-        return self._last if self.held else _NO_DEMAND
+        return self.last_demand if self.held else _NO_DEMAND
 
     def fail(self) -> None:
         """Request SAFE: estimator or controller failed."""
@@ -110,10 +111,10 @@ class PhaseMachine(MachineState):
         """Advance by one sample; the request is in the state."""
         phase = self.phase
         if phase is _BRAKING:
-            self._last = recordable(self.controller.update(estimate, sample.dt_s))
-        advance_phase(self.k, self, sample, self._last.brake)
+            self.last_demand = recordable(self.controller.update(estimate, sample.dt_s))
+        advance_phase(self.k, self, sample, self.last_demand.brake)
         if phase is _STOPPED and self.phase is Phase.IDLE:
-            self._last, self.controller = _NO_DEMAND, deepcopy(self.controller_as_made)
+            self.last_demand, self.controller = _NO_DEMAND, deepcopy(self.controller_as_made)
 
 
 def advance_phase(k: MachineConstants, s: MachineState, sample: Sample, brake: float) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Final
 
 from inteco_abs.config import RigConfig
@@ -10,12 +11,34 @@ from inteco_abs.control.controllers import Controller
 from inteco_abs.control.estimators import Estimator
 from inteco_abs.control.guard import Guard, GuardConstants, GuardState, admit, trip
 from inteco_abs.control.phase_machine import MachineState, PhaseMachine
-from inteco_abs.signals import UNTIMED, Command, Estimate, Phase, Reason, Sample, Tick, Timing
+from inteco_abs.signals import UNTIMED, BrakeDemand, Command, Estimate, Phase, Reason, Sample, Tick, Timing
 
 _NONE: Final = Reason.NONE
 _BRAKING: Final = Phase.BRAKING
-_OVER: Final = (Phase.DONE, Phase.FAULT)
+OVER: Final = (Phase.DONE, Phase.FAULT)
+"""Phases after which only SAFE follows."""
 _NO_ESTIMATE: Final = Estimate(0.0, 0.0, 0.0, valid=False)
+
+
+@dataclass(slots=True)
+class DecisionState:
+    """What a pipeline has decided last, as numbers: estimate, the controller's demand, and the admitted command."""
+
+    wheel_speed: float = 0.0
+    road_speed: float = 0.0
+    slip: float = 0.0
+    valid: bool = False
+    demanded: float = 0.0
+    """Duty that the controller demands, as it does the following."""
+    torque_nm: float = 0.0
+    switching: float = 0.0
+    c0: float = 0.0
+    c1: float = 0.0
+    c2: float = 0.0
+    c3: float = 0.0
+    drive: float = 0.0
+    """Duty that the guard admits, as is `brake`."""
+    brake: float = 0.0
 
 
 class Pipeline:
@@ -50,7 +73,21 @@ class Pipeline:
     @property
     def finished(self) -> bool:
         """Whether the run is over: only SAFE follows."""
-        return self.machine.phase in _OVER
+        return self.machine.phase in OVER
+
+    @property
+    def decided(self) -> DecisionState:
+        """What the newest tick has decided."""
+        duty, torque_nm, switching, internals = self.machine.last_demand
+        return DecisionState(*self._estimate[:4], duty, torque_nm, switching, *internals, *self.command)
+
+    def resume(self, decided: DecisionState) -> None:
+        """Go on after other ticks, with `estimator`, `machine` and `guard` in the state that they have left."""
+        s = decided
+        self.command = Command(s.drive, s.brake)
+        self._estimate = Estimate(s.wheel_speed, s.road_speed, s.slip, s.valid)
+        internals = s.c0, s.c1, s.c2, s.c3
+        self.machine.last_demand = BrakeDemand(s.demanded, s.torque_nm, s.switching, internals)
 
     def step(self, sample: Sample, stop_request: Reason = Reason.NONE, timing: Timing = UNTIMED) -> Tick:
         """Decide on one sample; the tick's `drive` and `brake` are the command for the next exchange."""

@@ -5,15 +5,16 @@ from __future__ import annotations
 import os
 import time
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
+from inteco_abs.analysis.compiling import CompiledLoops, paying_loops
 from inteco_abs.boards import Board, InProcessLink, board_behind
 from inteco_abs.config import RigConfig
-from inteco_abs.control import Controller, Pipeline, gains_in_force
+from inteco_abs.control import OVER, Controller, Pipeline, gains_in_force
 from inteco_abs.errors import SessionError, UnsafeError, describe_error
 from inteco_abs.experiment.plan import Plan, RunProgress, facts_of, job_of, ring_ticks
 from inteco_abs.mock_board import Device, FaultyDevice, FaultyFrontEnd, FaultyHost, FrontEnd, Schedule, front_end_of
@@ -48,11 +49,15 @@ from inteco_abs.sessions import (
     profile_source,
     spill_path,
 )
-from inteco_abs.signals import EXPLANATIONS, Reason
+from inteco_abs.signals import EXPLANATIONS, Phase, Reason
 from inteco_abs.wire import Recording, record_wire
 
 _SLICE_TICKS: Final = 1000
+_COMPILED_TICKS: Final = 8000
+"""Ticks of a slice that is compiled, in 10 ms."""
 _PATIENCE_S: Final = 1.0
+_REPLAYS: Final = 4
+"""Ticks that a replay decides on in Python in the time of one tick here."""
 
 
 class VirtualRun:
@@ -71,6 +76,8 @@ class VirtualRun:
         self._ring = TickRing(pack_tick, TICK.size, capacity)
         self._truths = TickRing(TRUTH.pack_into, TRUTH.size, capacity)
         self._window = Window(self._ring.reader(), self._truths.reader())
+        self._compile: Callable[[CompiledLoops], Any] | None = None
+        self._compiled: Any = None  # the CompiledRun that has the state of board, rig and pipeline now
 
     def run(self, progress: RunProgress | None, screen: Screen) -> RunResult:
         plan = self._plan
@@ -79,7 +86,10 @@ class VirtualRun:
 
     def _run(self, progress: RunProgress | None, screen: Screen, around: Recording) -> RunResult:
         plan, config = self._plan, self._config
-        board = board_behind(around(InProcessLink(self._front_end())), config, self._clock.now_ns)
+        front_end = self._front_end()
+        board = board_behind(around(InProcessLink(front_end)), config, self._clock.now_ns)
+        plain = not (plan.faults or plan.frames or plan.wire)  # else frames are looked at, or changed
+        self._compile = partial(self._compiled_run, board, front_end) if plain else None
         controller = plan.controllers[config.controller.name]
         spill = spill_path(plan.out, config, self._session_id)
         with FailoverWriter(plan.out, self._opener(controller), self._window.held, spill) as writer:
@@ -134,7 +144,7 @@ class VirtualRun:
             over = False
             while not over:
                 with self._interrupts.breaking():
-                    over = loop.run(_SLICE_TICKS)
+                    over = self._run_slice(loop)
                 snapshot = snapshots.look()
                 if snapshot is not None:
                     screen.show(snapshot)
@@ -144,9 +154,55 @@ class VirtualRun:
                         progress(self._pipeline.phase, self._ring.written)
         finally:
             try:
-                board.make_safe()  # before anything that takes time or can fail
+                try:
+                    self._go_on_in_python()
+                finally:
+                    board.make_safe()  # before anything that takes time or can fail
             finally:
                 self._record(writer)
+
+    def _run_slice(self, loop: Loop) -> bool:
+        """Run some ticks; True once the experiment is over. Many of a program are compiled."""
+        loops = self._paying_loops() if self._compiled is None and self._compile is not None else None
+        if loops is not None:
+            if not self._ring.written and loop.run(1):  # compiled ticks follow a good exchange
+                return True
+            self._compiled = self._compile and self._compile(loops)
+        if self._compiled is not None and not self._interrupts.stop.requested:
+            ticks, truths = self._compiled.run(min(_COMPILED_TICKS, self._window.room - _SLICE_TICKS))
+            if ticks:
+                return self._take(ticks, truths)
+            self._compile = None
+        self._go_on_in_python()
+        return loop.run(_SLICE_TICKS)
+
+    def _paying_loops(self) -> CompiledLoops | None:
+        key = "run", type(self._pipeline.estimator), type(self._pipeline.machine.controller)
+        return paying_loops("inteco_abs.experiment.compiled_run", key, _REPLAYS * _SLICE_TICKS)
+
+    def _compiled_run(self, board: Board, front_end: FrontEnd, loops: CompiledLoops) -> Any:
+        """Compiled ticks of this run, or None where they cannot be."""
+        try:
+            if self._clock.on_time:
+                arguments = board, front_end, self._pipeline, self._config.period_ns, loops.may_compile
+                return loops.module.CompiledRun(*arguments)
+        except ValueError:
+            self._compile = None
+        return None
+
+    def _take(self, ticks: bytes, truths: bytes) -> bool:
+        """Put compiled ticks where the loop puts its own; True once the experiment is over."""
+        self._clock.pass_beats(len(ticks) // TICK.size)
+        self._ring.extend(ticks)
+        self._truths.extend(truths)
+        phase = Phase(int(TICK.array(ticks)["phase"][-1]))
+        self._pipeline.machine.phase = phase
+        return phase in OVER
+
+    def _go_on_in_python(self) -> None:
+        compiled, self._compiled = self._compiled, None
+        if compiled is not None:
+            compiled.resume()
 
     def _record(self, writer: FailoverWriter) -> None:
         writer.add(*self._window.more())

@@ -16,6 +16,7 @@ from inteco_abs.mock_board.faults import (
     parse_faults,
     require_possible,
 )
+from inteco_abs.mock_board.frame_answer import AnswerConstants, AnswerState, give_counts, take_command
 from inteco_abs.mock_board.frontend import FrontEnd, Stream, require_terminals
 from inteco_abs.mock_board.pty_board import PtyServer
 from inteco_abs.mock_board.reported_board import ReportedFrontEnd, ReportedIdentity, reported_frames
@@ -36,6 +37,8 @@ __all__ = [
     "MAXIMUM_CELSIUS",
     "MINIMUM_SUPPLY_V",
     "ON_THE_HOST",
+    "AnswerConstants",
+    "AnswerState",
     "AttachFacts",
     "Cable",
     "Connected",
@@ -68,6 +71,7 @@ __all__ = [
     "drawn_facts",
     "front_end_of",
     "ftdi_identity",
+    "give_counts",
     "mock_family",
     "parse_address",
     "parse_faults",
@@ -76,4 +80,5 @@ __all__ = [
     "require_terminals",
     "rig_check",
     "simulated_rig",
+    "take_command",
 ]

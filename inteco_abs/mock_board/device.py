@@ -110,6 +110,21 @@ class QuadratureCounter:
             self._offset = -self._edges(angle_rad)
         self._held = held
 
+    @property
+    def free(self) -> bool:
+        """Whether its reset bit is clear."""
+        return not self._held
+
+    @property
+    def sign_and_offset(self) -> tuple[int, int]:
+        """What makes the counter's value of the encoder's count."""
+        return self._sign, self._offset
+
+    @property
+    def encoder(self) -> Encoder:
+        """The encoder on this counter."""
+        return self._encoder
+
     def value(self, angle_rad: float) -> int:
         """Return the count as two's complement, -2^31..2^31-1."""
         return 0 if self._held else signed32(self._edges(angle_rad) + self._offset)
@@ -120,6 +135,20 @@ class QuadratureCounter:
 
     def _edges(self, angle_rad: float) -> int:
         return self._sign * self._encoder.read(angle_rad)
+
+
+class Terminals(NamedTuple):
+    """What is at a device's terminals, for `take_command` and `give_counts`."""
+
+    noise_seed: int
+    """Seed of the encoders' noise, and the number of readings so far."""
+    readings: int
+    drive_full: int
+    """Width of duty 1; 0 for a channel that is not connected."""
+    brake_full: int
+    wheel: QuadratureCounter
+    road: QuadratureCounter
+    time_ns: int
 
 
 class Device:
@@ -180,6 +209,22 @@ class Device:
     def duties(self) -> tuple[float, float]:
         """Duties of drive and brake at the motors' terminals, 0..1."""
         return self._duties
+
+    def terminals(self) -> Terminals | None:
+        """Return what is at the terminals while only widths change; None while more happens there."""
+        wheel, road = self._wheel, self._road
+        steady = self._powered and not self._watched and self._hand is None and wheel.free and road.free
+        if not steady or wheel.encoder.readings != road.encoder.readings:
+            return None
+        drive, brake = (self._full_width(channel) for channel in (self.cable.drive_pwm, self.cable.brake_pwm))
+        return Terminals(wheel.encoder.seed, wheel.encoder.readings, drive, brake, wheel, road, self._time_ns)
+
+    def resume(self, time_ns: int, readings: int, duties: tuple[float, float], widths: tuple[int, int]) -> None:
+        """Go on at `time_ns` with the plant moved there, these widths written, and so many readings of the encoders."""
+        cable = self.cable
+        self._time_ns, self._duties = time_ns, duties
+        self.settings[f"pwm{cable.drive_pwm}_width"], self.settings[f"pwm{cable.brake_pwm}_width"] = widths
+        self._wheel.encoder.readings = self._road.encoder.readings = readings
 
     def power(self, *, on: bool) -> None:
         """Switch the power interface between board and motors, which is on at first."""
@@ -340,11 +385,13 @@ class Device:
 
         The prescaler sets only the frequency; the motors' inertia averages every frequency in use.
         """
-        get = self.settings.get
-        if not self._connected(self.settings, channel):
-            return 0.0
-        full = PWM_FULL_WIDTH[get(f"pwm{channel}_mode", 0)]
-        return (get(f"pwm{channel}_width", 0) & full) / full
+        full = self._full_width(channel)
+        return (self.settings.get(f"pwm{channel}_width", 0) & full) / full if full else 0.0
+
+    def _full_width(self, channel: int) -> int:
+        """Return the width of duty 1; 0 for a channel that is not connected."""
+        connected = self._connected(self.settings, channel)
+        return PWM_FULL_WIDTH[self.settings.get(f"pwm{channel}_mode", 0)] if connected else 0
 
     def _hold_counters(self) -> None:
         reset = self.settings.get("encoder_reset", 0)

@@ -41,6 +41,8 @@ class VirtualClock:
     def __init__(self, period_ns: int) -> None:
         self._period_ns = period_ns
         self._now_ns = 0
+        self._deadline_ns = 0
+        """Of the newest beat."""
         self._asleep_ns = 0
 
     def now_ns(self) -> int:
@@ -51,6 +53,16 @@ class VirtualClock:
         """Advance the clock before the next beat."""
         self._now_ns += duration_ns
 
+    @property
+    def on_time(self) -> bool:
+        """Whether no time has passed since the newest beat, and the next one is on time."""
+        return self._now_ns == self._deadline_ns and self._asleep_ns == 0
+
+    def pass_beats(self, beats: int) -> None:
+        """Advance by so many beats, each on time, after one on time."""
+        self._deadline_ns += beats * self._period_ns
+        self._now_ns = self._deadline_ns
+
     def oversleep_ns(self, duration_ns: int) -> None:
         """Make the next beat late by this much."""
         self._asleep_ns += duration_ns
@@ -58,14 +70,14 @@ class VirtualClock:
     def __iter__(self) -> Iterator[Beat]:
         """Yield beats without waiting, at multiples of the period; deadlines that have passed are skipped."""
         period = self._period_ns
-        deadline = self._now_ns
+        self._deadline_ns = self._now_ns
         while True:
-            deadline += period
-            now = self._now_ns
+            deadline, now = self._deadline_ns + period, self._now_ns
             skipped = 0
             if now > deadline:
                 skipped = (now - deadline) // period
                 deadline += skipped * period
+            self._deadline_ns = deadline
             self._now_ns = max(now, deadline) + self._asleep_ns
             self._asleep_ns = 0
             yield Beat(deadline, skipped)

@@ -11,7 +11,7 @@ from inteco_abs.control import Pipeline
 from inteco_abs.errors import AbsError, describe_error
 from inteco_abs.realtime.clock import Clock
 from inteco_abs.realtime.ring import TickRing
-from inteco_abs.signals import Command, Reason, Timing
+from inteco_abs.signals import Reason, Timing
 
 
 class StopSource(Protocol):
@@ -59,7 +59,6 @@ class Loop:
         self._beats = iter(clock)
         self._ring = ring
         self._stop = stop
-        self._command = Command.SAFE
         self._busy_us = 0.0
 
     def run(self, most: int | None = None) -> bool:
@@ -80,7 +79,7 @@ class Loop:
     def _run(self, most: int | None) -> bool:
         exchange, step, append = self._board.exchange, self._pipeline.step, self._ring.append
         now, wanted, pipeline = self._clock.now_ns, self._stop.wanted, self._pipeline
-        command, busy_us = self._command, self._busy_us
+        command, busy_us = pipeline.command, self._busy_us
         for deadline, skipped in islice(self._beats, most):
             start = now()
             sample = exchange(command)
@@ -93,7 +92,7 @@ class Loop:
             busy_us = (now() - read) * 1e-3
             if pipeline.finished:
                 return True
-        self._command, self._busy_us = command, busy_us
+        self._busy_us = busy_us
         return False
 
 

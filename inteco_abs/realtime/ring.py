@@ -7,6 +7,7 @@ a reader detects a torn or overwritten record. The writer makes no system call a
 from __future__ import annotations
 
 import mmap
+import sys
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -14,6 +15,8 @@ _WORD: Final = 8
 _HEAD_WORDS: Final = 8
 """Counters before the slots, in their own cache line."""
 _WRITTEN, _TAKEN = 0, 1
+_MANY: Final = 64
+"""Records that numpy copies faster than a loop does, if it is loaded already: a screen has none, and looks at few."""
 
 Pack = Callable[[Any, int, Any], None]
 """Writes one record into a buffer at an offset."""
@@ -69,6 +72,26 @@ class TickRing:
         words[at + self._stride - 1] = number
         words[_WRITTEN] = self._written = number
 
+    def extend(self, records: bytes) -> None:
+        """Append packed records, which lie back to back. Raises BufferError as `append`, before it appends any.
+
+        It loads numpy, and needs much less time than `append` for a thousand records.
+        """
+        import numpy as np  # noqa: PLC0415  the loop's process in real time does without
+
+        words, size, first = self._words, self._size, self._written
+        data = np.frombuffer(records, np.uint8).reshape(-1, size)
+        end = first + len(data)
+        if end - words[_TAKEN] > self._capacity:
+            raise BufferError(f"the ring is full: {first - words[_TAKEN]} records wait to be taken")
+        numbers = np.arange(first, end)
+        slots = np.frombuffer(self.memory, np.uint64)[_HEAD_WORDS:][: self._capacity * self._stride]
+        slots, places = slots.reshape(self._capacity, self._stride), numbers % self._capacity
+        slots[places, 0] = numbers + 1
+        slots.view(np.uint8)[places, _WORD : _WORD + size] = data
+        slots[places, -1] = numbers + 1
+        words[_WRITTEN] = self._written = end
+
 
 class RingReader:
     """The reader's end. One reader may `take` records; any number may `look` at them."""
@@ -111,6 +134,8 @@ class RingReader:
     def look(self, first: int, most: int | None = None) -> tuple[bytes, int]:
         """Return up to `most` whole records from number `first` on, and the number of the next; takes none."""
         end = self.written if most is None else min(self.written, first + most)
+        if end - first >= _MANY and "numpy" in sys.modules:
+            return self._many(first, end), end
         records = (self._record(number) for number in range(first, end))
         return b"".join(record for record in records if record is not None), end
 
@@ -129,6 +154,19 @@ class RingReader:
         """Return the newest record; None if there is none, or it is just being overwritten."""
         written = self.written
         return self._record(written - 1) if written else None
+
+    def _many(self, first: int, end: int) -> bytes:
+        """Return whole records as `_record` does, by numpy."""
+        import numpy as np  # noqa: PLC0415  it is loaded
+
+        numbers = np.arange(first, end)
+        slots = np.frombuffer(self._memory, np.uint64)[_HEAD_WORDS:][: self._capacity * self._stride]
+        slots, places = slots.reshape(self._capacity, self._stride), numbers % self._capacity
+        back = slots[places, -1]
+        records = slots.view(np.uint8)[places, _WORD : _WORD + self._size]
+        front = slots[places, 0]
+        whole = (front == back) & (front == (numbers + 1).astype(np.uint64))
+        return records.tobytes() if whole.all() else records[whole].tobytes()
 
     def _record(self, number: int) -> bytes | None:
         at = _HEAD_WORDS + number % self._capacity * self._stride

@@ -15,22 +15,22 @@ _TURN_RAD: Final = 2.0 * math.pi
 class Encoder:
     """The wheel's (`wheel=True`) or road's encoder of a rig; the counter is never reset.
 
-    The noise of the n-th reading depends on the rig's seed and n alone.
+    The noise of the n-th of all `readings` depends on `seed` and n alone.
     """
 
-    __slots__ = ("_disc", "_noise", "_readings", "_seed")
+    __slots__ = ("_disc", "_noise", "readings", "seed")
 
     def __init__(self, variation: RigVariation, *, wheel: bool) -> None:
         self._disc = variation.wheel_encoder if wheel else variation.road_encoder
-        self._seed = noise_seed(variation)
+        self.seed = noise_seed(variation)
         self._noise = 0 if wheel else 1
-        self._readings = 0
+        self.readings = 0
 
     def read(self, angle_rad: float) -> int:
         """Count with the wheel at `angle_rad`."""
-        self._readings += 1
+        self.readings += 1
         noisy = self._disc.jitter_counts > 0.0
-        return count(self._disc, angle_rad, normal_pair(self._seed, self._readings)[self._noise] if noisy else 0.0)
+        return count(self._disc, angle_rad, normal_pair(self.seed, self.readings)[self._noise] if noisy else 0.0)
 
 
 def count(disc: EncoderVariation, angle_rad: float, noise: float) -> int:

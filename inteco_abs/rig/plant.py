@@ -61,10 +61,11 @@ class Plant(State):
         variation = parameters if isinstance(parameters, RigVariation) else RigVariation(parameters)
         self.parameters = variation.parameters
         self.motor = motor or DriveMotor()
-        self._k = k = Constants.of(variation, self.motor, max_step_s)
+        self.constants = k = Constants.of(variation, self.motor, max_step_s)
         super().__init__(wheel_speed, road_speed, k.L_sin, k.L_cos, k.adhesion_scale)
         self.settled_torque = self.newest_torque = settled(k, 0.0)
-        self._due_s, self._torques = [0.0], [0.0]
+        self.commands: tuple[list[float], list[float]] = ([0.0], [0.0])
+        """Times in s at which commands act, and their torques in N m: rings, of a power of two."""
 
     @property
     def slip(self) -> float:
@@ -74,7 +75,7 @@ class Plant(State):
     @property
     def adhesion(self) -> float:
         """Adhesion coefficient of the road at this slip, equation (8) or the rig's own."""
-        return self.grip * blended(self._k, self._k.adhesion_blend, self.slip)
+        return self.grip * blended(self.constants, self.constants.adhesion_blend, self.slip)
 
     def advance(self, drive: float, brake: float, duration_s: float) -> None:
         """Advance by `duration_s` >= 0 with constant duties in 0..1; raises ValueError outside."""
@@ -82,10 +83,11 @@ class Plant(State):
             raise ValueError(f"drive {drive!r}, brake {brake!r}: duties must be in 0..1")
         if not 0.0 <= duration_s < math.inf:
             raise ValueError(f"duration_s = {duration_s!r}: must be finite and not negative")
-        move_on(self._k, self, self._due_s, self._torques, drive, brake, duration_s)
-        if self.sent - self.arrived == len(self._due_s):
-            self._due_s += self._due_s  # at its number modulo the new length each command is where it was
-            self._torques += self._torques
+        due_s, torques = self.commands
+        move_on(self.constants, self, due_s, torques, drive, brake, duration_s)
+        if self.sent - self.arrived == len(due_s):
+            due_s += due_s  # at its number modulo the new length each command is where it was
+            torques += torques
 
 
 def read_encoders(k: Constants, s: State, reading: int) -> tuple[int, int]:

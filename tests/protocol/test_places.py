@@ -1,7 +1,8 @@
 import pytest
 
 from firmware_protocol import FrameField, FrameTable, ProtocolError, TableError
-from firmware_protocol.fields import Bits, words
+from firmware_protocol.fields import Bits, ValueKind, first_word, get_bits, put_bits, words
+from firmware_protocol.rtdac_usb import LOGICS as LOGICS_OF_BYTES
 from firmware_protocol.rtdac_usb2 import READ, SEND, decode_read, decode_send, encode_read, encode_send
 
 SETTINGS = {
@@ -85,3 +86,25 @@ def test_a_frame_packed_in_place_is_still_understood():
         offset, codec = SEND.place(name)
         codec.pack_into(frame, offset, width)
     assert decode_send(frame) == {**decode_send(encode_send(SETTINGS)), "pwm0_width": 4095, "pwm1_width": 128}
+
+
+OF_BYTES = [table for logic in LOGICS_OF_BYTES.values() for table in (logic.read, logic.send)]
+
+
+@pytest.mark.parametrize("table", [READ, SEND, *OF_BYTES], ids=lambda table: table.title)
+def test_bits_put_by_byte_are_what_encode_makes_and_touch_nothing_else(table):
+    for name, (field, layout) in table.fields.items():
+        if field.kind is ValueKind.UNSIGNED and name not in table.fixed:
+            most, parts = field.range(layout)[1], table.bytes_of(name)
+            for value in {0, 1, most // 3, most}:
+                frame = list(table.encode({name: most}))
+                put_bits(frame, parts, value)
+                assert bytes(frame) == table.encode({name: value})
+                assert get_bits(frame, parts) == value
+
+
+def test_the_first_word_of_a_prescaler_holds_its_low_bits_both_ways():
+    value = 0b1_0101_0101_0101_0101 & 0xFFFF
+    for table, mask in ((READ, 0xFFFF), (SEND, 0x7FFF)):
+        frame = table.encode({"pwm7_prescaler": value})
+        assert get_bits(frame, first_word(table, "pwm7_prescaler")) == value & mask

@@ -271,3 +271,34 @@ def test_a_ring_may_continue_where_another_has_ended():
     reader = ring.reader()
     assert (reader.written, reader.held_from()) == (9, 7)
     assert reader.take() == record(7) + record(8)
+
+
+@given(st.lists(st.tuples(st.integers(0, 90), st.booleans()), max_size=8), st.integers(100, 130))
+def test_records_appended_and_taken_together_are_those_of_one_by_one(pieces, capacity):
+    """Pieces of 64 records and more are copied by numpy, across the ring's end, too."""
+    many, single, number = TickRing(pack, SIZE, capacity), Ring(capacity), 0
+    for count, taken in pieces:
+        if many.written + count - many.reader().taken <= capacity:
+            many.extend(b"".join(map(record, range(number, number + count))))
+            for each in range(number, number + count):
+                single.append(each)
+            number += count
+        if taken:
+            assert many.reader().take() == single.take()
+    assert bytes(many.memory) == bytes(single._ring.memory)
+
+
+def test_more_records_than_there_is_room_for_are_refused_together():
+    ring = TickRing(pack, SIZE, 100)
+    ring.extend(b"".join(map(record, range(60))))
+    with pytest.raises(BufferError, match="60 records wait"):
+        ring.extend(b"".join(map(record, range(41))))
+    assert ring.written == 60
+
+
+def test_a_record_that_is_overwritten_meanwhile_is_left_out_of_many():
+    ring = TickRing(pack, SIZE, 100)
+    ring.extend(b"".join(map(record, range(80))))
+    words = ring.memory.cast("Q")
+    words[8 + 3 * 30] += 1  # the number before record 30
+    assert ring.reader().take() == b"".join(record(number) for number in range(80) if number != 30)

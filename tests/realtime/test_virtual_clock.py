@@ -30,3 +30,14 @@ def test_beats_continue_where_a_part_of_them_was_taken():
     taken = [beat.deadline_ns for length in (3, 0, 1, 4) for beat in islice(beats, length)]
     assert taken == [1_000 * number for number in range(1, 9)]
     assert clock.now_ns() == 8_000
+
+
+def test_beats_that_were_kept_elsewhere_are_neither_late_nor_skipped():
+    clock = VirtualClock(1_000)
+    beats = iter(clock)
+    next(beats)
+    assert clock.on_time
+    clock.pass_beats(5)
+    assert (clock.now_ns(), next(beats)) == (6_000, Beat(7_000, 0))
+    clock.pass_ns(1)
+    assert not clock.on_time

@@ -219,7 +219,7 @@ def asked(monkeypatch):
         return rows(pipeline, logged, may_compile)
 
     monkeypatch.setattr(compiled_replay, "replay_rows", watched)
-    monkeypatch.setattr(compiling, "_decided", {})
+    monkeypatch.setattr(compiling, "_ticks", {})
     return calls
 
 

@@ -7,10 +7,19 @@ from collections.abc import Mapping
 from typing import Final
 
 from firmware_protocol import Logic, ProtocolError
-from firmware_protocol.fields import sent_back
+from firmware_protocol.fields import first_word, sent_back
 from firmware_protocol.rtdac_usb2 import FRAME_BYTES, LOGIC_VERSION, LOGICS, READ, READ_REQUEST, SEND
 from inteco_abs.config import MOCK_NAMES
-from inteco_abs.mock_board import Connected, Device, MockFamily, always_connected, reported_frames, require_terminals
+from inteco_abs.mock_board import (
+    AnswerConstants,
+    AnswerState,
+    Connected,
+    Device,
+    MockFamily,
+    always_connected,
+    reported_frames,
+    require_terminals,
+)
 from inteco_abs.mock_board.usbip.usb_board import UsbBoard
 from inteco_abs.mock_board.usbip.usb_descriptors import UsbIdentity
 
@@ -90,6 +99,47 @@ class Usb2FrontEnd:
     def bulk_in(self, length: int) -> bytes:
         """Return the oldest waiting answer at endpoint 0x84; empty if there is none."""
         return self._waiting.pop(0)[:length] if self._waiting else b""
+
+    def answer_parts(self) -> tuple[AnswerConstants, AnswerState] | None:
+        """Return what `take_command` and `give_counts` work on while all other settings stay; None if they do not."""
+        terminals = self.device.terminals()
+        if terminals is None or self._timers or self._waiting:
+            return None
+        (read, send), cable = self._tables, self.device.cable
+        drive, brake = f"pwm{cable.drive_pwm}_width", f"pwm{cable.brake_pwm}_width"
+        (wheel_sign, wheel_offset), (road_sign, road_offset) = (
+            counter.sign_and_offset for counter in (terminals.wheel, terminals.road)
+        )
+        k = AnswerConstants(
+            terminals.drive_full or 1,
+            terminals.brake_full or 1,
+            terminals.drive_full > 0,
+            terminals.brake_full > 0,
+            wheel_sign,
+            road_sign,
+            wheel_offset,
+            road_offset,
+            self._number_top,
+            send.bytes_of(drive),
+            send.bytes_of(brake),
+            first_word(send, self._numbering),
+            read.bytes_of(drive),
+            read.bytes_of(brake),
+            first_word(read, self._numbering),
+            read.bytes_of(f"encoder{cable.wheel_encoder}_count"),
+            read.bytes_of(f"encoder{cable.road_encoder}_count"),
+        )
+        state = AnswerState(list(self._answer), *self.device.duties, terminals.time_ns, terminals.readings)
+        return k, state
+
+    def resume(self, s: AnswerState) -> None:
+        """Go on after exchanges of `answer_parts`."""
+        self._answer[:] = bytes(s.answer)
+        echoed = self._drive_echo, self._brake_echo
+        drive, brake = (_WORD.unpack_from(self._answer, place)[0] for place in echoed)
+        self._widths = drive, brake
+        self.device.settings[self._numbering] = _WORD.unpack_from(self._answer, self._number)[0]
+        self.device.resume(s.time_ns, s.readings, (s.drive, s.brake), (drive, brake))
 
     def _send(self, data: bytes | bytearray) -> None:
         newest = self._newest
