@@ -11,7 +11,6 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, Final
 
-from inteco_abs.analysis.compiling import CompiledLoops, paying_loops
 from inteco_abs.boards import Board, InProcessLink, board_behind
 from inteco_abs.config import RigConfig
 from inteco_abs.control import OVER, Controller, Pipeline, gains_in_force
@@ -50,6 +49,7 @@ from inteco_abs.sessions import (
     spill_path,
 )
 from inteco_abs.signals import EXPLANATIONS, Phase, Reason
+from inteco_abs.warm_up import CompiledLoops, paying_loops
 from inteco_abs.wire import Recording, record_wire
 
 _SLICE_TICKS: Final = 1000

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from inteco_abs.analysis import alternative, compiled_replay, compiling, replay_session, what_if
+from inteco_abs import warm_up
+from inteco_abs.analysis import alternative, compiled_replay, replay_session, what_if
 from inteco_abs.analysis.compiled_replay import replay_rows
 from inteco_abs.analysis.replay import decisions, recorded_with
 from inteco_abs.control import CONTROLLERS, ESTIMATORS, build_pipeline, control_check
@@ -219,14 +220,14 @@ def asked(monkeypatch):
         return rows(pipeline, logged, may_compile)
 
     monkeypatch.setattr(compiled_replay, "replay_rows", watched)
-    monkeypatch.setattr(compiling, "_ticks", {})
+    monkeypatch.setattr(warm_up, "_ticks", {})
     return calls
 
 
 def test_machine_code_is_used_once_it_has_paid_for_itself(two_stops, asked, monkeypatch):
     ticks = len(two_stops.ticks)
-    monkeypatch.setattr(compiling, "WORTH_LOADING", 2 * ticks)
-    monkeypatch.setattr(compiling, "WORTH_COMPILING", 4 * ticks)
+    monkeypatch.setattr(warm_up, "WORTH_LOADING", 2 * ticks)
+    monkeypatch.setattr(warm_up, "WORTH_COMPILING", 4 * ticks)
     for _ in range(5):
         assert replay_session(two_stops, pipeline_of(two_stops)).differing == 0
     assert asked == [False, False, True, True]

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from inteco_abs.analysis import compiling
+from inteco_abs import warm_up
 from inteco_abs.control import CONTROLLERS, ESTIMATORS
 from inteco_abs.experiment import compiled_run, virtual_run
 from inteco_abs.mock_board import parse_faults
@@ -31,9 +31,9 @@ def both(run, monkeypatch):
     def make(*settings, **options):
         found = []
         for worth, name in ((0, "compiled.mcap"), (math.inf, "python.mcap")):
-            monkeypatch.setattr(compiling, "WORTH_LOADING", worth)
-            monkeypatch.setattr(compiling, "WORTH_COMPILING", worth)
-            made = run(*settings, name=name, **options)
+            monkeypatch.setattr(warm_up, "WORTH_LOADING", worth)
+            monkeypatch.setattr(warm_up, "WORTH_COMPILING", worth)
+            made = run(*settings, name=f"{options.get('seed')}-{name}", **options)
             found.append((made.session, made.stop.card))
         return *found, sum(ticks)
 
@@ -140,8 +140,8 @@ def test_without_numba_python_runs(both, monkeypatch):
 def test_a_run_is_compiled_once_that_has_paid_for_itself(run, monkeypatch):
     """A program that runs one stop does not wait for numba."""
     asked = []
-    monkeypatch.setattr(compiling, "_ticks", {})
-    monkeypatch.setattr(compiling, "import_module", asked.append)
-    monkeypatch.setattr(compiling, "WORTH_LOADING", 10**9)
+    monkeypatch.setattr(warm_up, "_ticks", {})
+    monkeypatch.setattr(warm_up, "import_module", asked.append)
+    monkeypatch.setattr(warm_up, "WORTH_LOADING", 10**9)
     assert run().stop.card["outcome"] == "completed"
     assert not asked
