@@ -6,7 +6,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from contextlib import redirect_stdout
+from contextlib import nullcontext, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -156,8 +156,8 @@ def sweep(
         made = SweepFolder.make(store, plan)
         say(f"sweep {made.plan.name[:12]}: {plan.count} stops to brake: inteco-abs sweep --work {store}", err=True)
         return 0
-    with tempfile.TemporaryDirectory(prefix="inteco-abs-sweep-") as temporary:
-        folder = SweepFolder.make(store or Path(temporary), plan)
+    with nullcontext(store) if store else tempfile.TemporaryDirectory(prefix="inteco-abs-sweep-") as place:
+        folder = SweepFolder.make(Path(place), plan)
         code = _brake(folder, jobs, executor, kept=store is not None)
         return max(code, _report(folder, table, figure, as_json=as_json))
 

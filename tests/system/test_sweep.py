@@ -140,7 +140,11 @@ def test_the_processes_of_a_sweep_end_with_the_command_that_was_killed(tmp_path)
     code = "from inteco_abs.cli import main; main()"
     arguments = ["sweep", "--rigs", "nominal:0-999", "--controller", "own.py:Own", "--jobs", "2"]
     with subprocess.Popen(
-        [sys.executable, "-c", code, *arguments], cwd=tmp_path, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", code, *arguments],
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "TMPDIR": str(tmp_path)},  # the killed command leaves its folder
     ) as run:
         greetings = (line for line in run.stderr if "hello" in line)  # two workers may share a line
         next(greetings)  # the command's own
