@@ -13,7 +13,7 @@ WORTH_LOADING: Final = 100_000
 WORTH_COMPILING: Final = 1_000_000
 """Ticks that a replay takes as long for in Python as to compile a loop: 4 s, and with the observer 10 s."""
 
-_ticks: dict[object, float] = {}
+asked_for: dict[object, float] = {}
 """Ticks that this program has asked for so far, by what they need."""
 
 
@@ -30,7 +30,7 @@ def paying_loops(module: str, key: object, ticks: float) -> CompiledLoops | None
     Those before had the same `key`. None without numba, too.
     """
     if ticks < math.inf:
-        ticks = _ticks[key] = _ticks.get(key, 0.0) + ticks
+        ticks = asked_for[key] = asked_for.get(key, 0.0) + ticks
     if ticks < WORTH_LOADING:
         return None
     try:

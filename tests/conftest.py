@@ -13,6 +13,8 @@ import pytest
 from chromium import chromium
 from hypothesis import HealthCheck, Phase, settings
 
+from inteco_abs.warm_up import asked_for
+
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # every core has a worker already, and idle threads of numpy spin
 
 settings.register_profile("default", deadline=None, max_examples=10)
@@ -36,6 +38,12 @@ def pytest_sessionfinish(session):
     """Keep it for tools/checks.py, which does not run these again."""
     if hasattr(session.config, "cache") and not hasattr(session.config, "workerinput"):
         session.config.cache.set("check/final", _final)
+
+
+@pytest.fixture(autouse=True)
+def cold():
+    """Let each test begin as a program does, which has run no tick that counts towards machine code."""
+    asked_for.clear()
 
 
 def pytest_configure():

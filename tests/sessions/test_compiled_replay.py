@@ -220,7 +220,6 @@ def asked(monkeypatch):
         return rows(pipeline, logged, may_compile)
 
     monkeypatch.setattr(compiled_replay, "replay_rows", watched)
-    monkeypatch.setattr(warm_up, "_ticks", {})
     return calls
 
 

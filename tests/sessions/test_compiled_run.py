@@ -140,7 +140,6 @@ def test_without_numba_python_runs(both, monkeypatch):
 def test_a_run_is_compiled_once_that_has_paid_for_itself(run, monkeypatch):
     """A program that runs one stop does not wait for numba."""
     asked = []
-    monkeypatch.setattr(warm_up, "_ticks", {})
     monkeypatch.setattr(warm_up, "import_module", asked.append)
     monkeypatch.setattr(warm_up, "WORTH_LOADING", 10**9)
     assert run().stop.card["outcome"] == "completed"
