@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import zipfile
+import zlib
 from collections.abc import Mapping
+from pathlib import PurePath
 from typing import Final, NamedTuple
 
 _ZIP: Final = b"PK\x03\x04"
@@ -30,7 +32,10 @@ class SourceFiles(NamedTuple):
 
 
 def unpacked(data: bytes) -> SourceFiles:
-    """What `packed` made `data` of. Raises ValueError for a damaged archive, or one that is too large unpacked."""
+    """What `packed` made `data` of.
+
+    Raises ValueError for a damaged archive, one that is too large unpacked, or one with files outside of its folder.
+    """
     if not data.startswith(_ZIP):
         return SourceFiles(data, {})
     try:
@@ -38,7 +43,18 @@ def unpacked(data: bytes) -> SourceFiles:
             parts = archive.infolist()
             if sum(part.file_size for part in parts) > 2 * MOST_BYTES:
                 raise ValueError(f"has more than {2 * MOST_BYTES / 1e6:.0f} MB unpacked")
+            if not parts or any(part.compress_type != zipfile.ZIP_DEFLATED for part in parts):
+                raise ValueError("damaged archive: not as a session keeps it")  # other methods may need much memory
             first, *others = parts
+            for part in others:
+                _require_below(part.filename)
             return SourceFiles(archive.read(first), {part.filename: archive.read(part) for part in others})
-    except (zipfile.BadZipFile, NotImplementedError, EOFError) as error:
+    except (zipfile.BadZipFile, zlib.error, RuntimeError, EOFError) as error:  # RuntimeError: encrypted, or new
         raise ValueError(f"damaged archive: {error}") from error
+
+
+def _require_below(name: str) -> None:
+    """Raise ValueError for a path that is not below the folder of its source."""
+    path = PurePath(name)
+    if path.anchor or ".." in path.parts:
+        raise ValueError(f"{name!r} leads out of their folder")

@@ -5,6 +5,7 @@ import json
 import shutil
 import sys
 import zipfile
+from contextlib import suppress
 
 import pytest
 
@@ -172,3 +173,20 @@ def test_files_that_cannot_be_restored_are_refused(tmp_path, files, words):
     with pytest.raises(ConfigError, match="cannot be restored"):
         load_controller(f"{tmp_path}/law.py:Law", source[: len(source) // 2])
     assert not list(tmp_path.iterdir())
+
+
+def test_a_damaged_archive_is_refused_or_has_the_same_source():
+    source = SourceFiles(LAW.encode(), {"my_gains.py": b"K = 0.5\n"}).packed("law.py")
+    for place in range(4, len(source)):
+        damaged = bytearray(source)
+        damaged[place] ^= 0x81
+        with suppress(ValueError):
+            assert unpacked(bytes(damaged)).source == LAW.encode(), place
+
+
+def test_an_archive_that_another_method_compressed_is_refused():
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_BZIP2) as archive:
+        archive.writestr("law.py", bytes(1_000_000))
+    with pytest.raises(ValueError, match="not as a session keeps it"):
+        unpacked(buffer.getvalue())
