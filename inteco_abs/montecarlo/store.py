@@ -122,11 +122,19 @@ class SweepFolder:
             path.write_text(text, encoding="utf-8")
 
     def failures(self) -> dict[str, str]:
-        """Why units were given up that are still missing, by name."""
-        files = sorted((self.path / "failed").glob("*.json"))
-        found = [json.loads(file.read_text(encoding="utf-8")) for file in files]
-        problems = {Unit(*(one[key] for key in Unit._fields)): one["problem"] for one in found}
-        return {unit.name: problem for unit, problem in problems.items() if not self.part(unit).exists()}
+        """Why units were given up that are still missing, by name. Raises AbsError for a damaged record."""
+        problems = {}
+        for file in sorted((self.path / "failed").glob("*.json")):
+            try:
+                one = json.loads(file.read_text(encoding="utf-8"))
+                unit, problem = Unit(*(one[key] for key in Unit._fields)), one["problem"]
+            except FileNotFoundError:  # another process has just braked it
+                continue
+            except (OSError, ValueError, LookupError, TypeError) as error:
+                raise AbsError(f"{file}: not readable; remove it: {error}") from error
+            if not self.part(unit).exists():
+                problems[unit.name] = problem
+        return problems
 
     def _failure(self, unit: Unit) -> Path:
         return self.path / "failed" / f"{unit.name}.json"

@@ -279,3 +279,11 @@ def test_an_executor_that_cannot_be_had_is_an_error_of_the_option(monkeypatch, t
         named_executor(text)
     assert words in str(caught.value)
     assert caught.value.mistakes[0].path == "--executor"
+
+
+def test_a_record_of_a_failure_that_is_damaged_is_named_and_one_that_has_gone_is_none(begun):
+    (begun.path / "failed" / "gone.json").symlink_to("nowhere")  # listed, and not there when it is read
+    assert begun.failures() == {}
+    (begun.path / "failed" / "torn.json").write_text("{")
+    with pytest.raises(AbsError, match=r"torn\.json: not readable; remove it"):
+        begun.failures()
