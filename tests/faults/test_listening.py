@@ -20,8 +20,8 @@ PACKAGE = Path(inteco_abs.__file__).parent
 RUNS_CODE = {"eval", "exec", "compile", "__import__"}
 USERS_OWN_FILE = {"plugins/file.py"}
 """Where a controller's file is run that the user has named on the command line, or that is kept in his session."""
-OWN_SOURCE = {"machine_code.py"}
-"""Which runs the source of a function that is imported already, with fewer parameters."""
+OWN_SOURCE = {"c_code.py", "machine_code.py"}
+"""Which run parts of the source of functions that are imported already."""
 FROM_ITS_PARENT = {"realtime/processes/controller.py"}
 """Which unpickles what the process that started it sends over the pipe that it made for that, and nothing else."""
 UNPICKLES = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "yaml"}
