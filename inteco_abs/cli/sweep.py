@@ -147,6 +147,7 @@ def sweep(
     if work is not None:
         folder = SweepFolder.open(work)
         code = _brake(folder, jobs, executor, part or (1, 1))
+        _report_given_up(folder)
         say(f"inteco-abs sweep --show {work} makes the table", err=True)
         return code
     if shown is not None:
@@ -241,8 +242,6 @@ def _brake(
         with where, stops_progress() as progress:
             braked = work(folder, where, _AHEAD * jobs if jobs > 1 else 1, part, progress)
     _say_braked(braked, jobs, time.monotonic() - began)
-    for unit, problem in folder.failures().items():
-        say(f"inteco-abs: {unit} was given up: {problem}", err=True)
     return LOSSES if braked.failed else 0
 
 
@@ -261,6 +260,7 @@ def _report(folder: SweepFolder, table: Path | None, figure: Path | None, *, as_
     done = sum(row.stops + len(row.left_out) for row in rows)
     if done < folder.plan.count:
         say(f"inteco-abs: {done} of {folder.plan.count} stops so far", err=True)
+    _report_given_up(folder)
     _report_left_out(rows)
     # before the files: one that cannot be written must not cost the result
     if as_json:
@@ -309,6 +309,11 @@ def _require_no_rig(grid: Sequence[Combination], draws: Sequence[SampleSet]) -> 
         mistakes.append(ConfigIssue("encoders.counts_per_turn", f"{shown}: these rigs have {max(drawn)}; leave it out"))
     if mistakes:
         raise ConfigError(mistakes)
+
+
+def _report_given_up(folder: SweepFolder) -> None:
+    for unit, problem in folder.failures().items():
+        say(f"inteco-abs: {unit} was given up: {problem}", err=True)
 
 
 def _report_left_out(rows: Sequence[SweepRow]) -> None:

@@ -15,6 +15,7 @@ import pytest
 
 from inteco_abs.cli.command import cli
 from inteco_abs.errors import AbsError, ConfigError
+from inteco_abs.montecarlo import SweepFolder
 
 pytestmark = pytest.mark.xdist_group("compiled")
 
@@ -274,7 +275,11 @@ def test_computers_share_a_folder_by_parts(main_here, tmp_path):
     main_here("sweep", *QUICK, *own, "--store", "shared", "--prepare", check=0)
     (tmp_path / "own.py").unlink()  # its source is in the folder, and what it reads
     (tmp_path / "more").unlink()
-    assert "0 of 4 stops so far" in main_here("sweep", "--show", "shared", check=0).stderr
+    folder = SweepFolder.open(tmp_path / "shared")
+    folder.fail(next(folder.plan.units()), "the disk was full")
+    nothing = main_here("sweep", "--show", "shared", check=0).stderr
+    assert "0 of 4 stops so far" in nothing
+    assert "was given up: the disk was full" in nothing
     second = main_here("sweep", "--work", "shared", "--part", "2/2", "--jobs", "1", check=0)
     assert "2 stops, " in second.stderr
     assert second.stdout == ""
