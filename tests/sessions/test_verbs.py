@@ -293,8 +293,8 @@ def test_info_says_which_process_died_and_at_which_tick(verb, short, container, 
             name = container.text("inteco_abs.session")
             record = container.record(12, name + len(content).to_bytes(4, "little") + content)  # noqa: PLW2901
         records.append(record)
-    rows = dict(line.split(maxsplit=1) for line in verb("info", altered(container.join(records))).out.splitlines())
-    assert rows["died"].strip() == "loop; the last tick is 9876"
+    out = verb("info", altered(container.join(records))).out
+    assert "died loop; the last tick is 9876" in [" ".join(line.split()) for line in out.splitlines()]
 
 
 def test_a_cut_session_is_said_to_be_recoverable(verb, folder):
