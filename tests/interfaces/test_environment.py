@@ -46,6 +46,7 @@ def test_gymnasiums_own_checker_finds_nothing(choices):
     check_env(gymnasium.make(NAME, **choices).unwrapped)
 
 
+@pytest.mark.long
 @compiles
 def test_a_shipped_law_as_agent_brakes_as_it_does_in_a_monte_carlo_run():
     """At one tick per action, bit for bit: with delay, encoder noise, dead time and guard."""

@@ -147,7 +147,12 @@ def test_a_point_that_cannot_be_held_is_refused(slip, road, message):
     ("missing", "call", "message"),
     [
         ("sympy", "", "the model's equations need SymPy: pip install 'inteco-abs[control]'"),
-        ("control", ".to_control()", "a StateSpace needs python-control: pip install 'inteco-abs[control]'"),
+        pytest.param(
+            "control",
+            ".to_control()",
+            "a StateSpace needs python-control: pip install 'inteco-abs[control]'",
+            marks=pytest.mark.long,
+        ),
     ],
 )
 def test_without_the_extra_the_error_names_it(missing, call, message):

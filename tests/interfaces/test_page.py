@@ -28,7 +28,13 @@ def test_every_example_of_the_page_is_found():
     assert len(EXAMPLES) == PAGE.count("```python")
 
 
-@pytest.mark.parametrize("name", sorted(EXAMPLES.keys() - {LEARNING}))
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(each, marks=pytest.mark.long) if each == "slip_model.py" else each
+        for each in sorted(EXAMPLES.keys() - {LEARNING})
+    ],
+)
 def test_an_example_prints_what_the_page_says(name, tmp_path):
     assert printed_by(name, tmp_path) == EXAMPLES[name][1]
 

@@ -36,6 +36,7 @@ def array(tmp_path):
     return task
 
 
+@pytest.mark.long
 def test_the_tasks_of_a_job_array_make_the_whole_sweep(array, tmp_path):
     shared = SweepFolder.make(tmp_path / "stops", PLAN)
     array(2)

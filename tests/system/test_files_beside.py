@@ -85,6 +85,7 @@ def test_what_a_controller_loads_is_kept_and_restored_for_a_replay(inteco_abs, t
     assert "name that file to replay it, or recorded to run the code that the session keeps" in refused
 
 
+@pytest.mark.long
 def test_a_session_without_a_controller_of_a_file_keeps_none(inteco_abs):
     inteco_abs("run", *QUICK, "--out", "stop.mcap", "--quiet", check=0)
     assert (
@@ -92,7 +93,7 @@ def test_a_session_without_a_controller_of_a_file_keeps_none(inteco_abs):
     )
 
 
-@pytest.mark.parametrize("name", ["Random", "Clock"])
+@pytest.mark.parametrize("name", ["Random", pytest.param("Clock", marks=pytest.mark.long)])
 def test_a_run_whose_decisions_do_not_replay_says_so(inteco_abs, tmp_path, name):
     (tmp_path / "law.py").write_text(UNSTEADY)
     run = inteco_abs("run", *QUICK, "--controller", f"law.py:{name}", "--json", check=0)
