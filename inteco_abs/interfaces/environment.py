@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from inteco_abs.config import RigConfig, load_config
 from inteco_abs.control import control_check, function_of, make_estimator
-from inteco_abs.errors import AbsError
+from inteco_abs.errors import AbsError, ConfigError
 from inteco_abs.interfaces.braking import Clock, Ending, PythonStops, Stops
 from inteco_abs.rig import LONGEST_BRAKING_S, POPULATIONS, brake_duty, brake_torque, draw, nominal_parameters
 from inteco_abs.sessions import LOCKED_SLIP, LOWEST_RAD_S
@@ -97,6 +97,8 @@ class BrakingChoices:
         """The configuration, with which the other choices go together."""
         if self.population not in POPULATIONS:
             raise ValueError(f"population {self.population!r}: must be one of {', '.join(POPULATIONS)}")
+        if isinstance(self.settings, str):
+            raise ConfigError.of("settings", f"{self.settings!r}: must be a list, as in [{self.settings!r}]")
         if self.action not in {"duty", "torque"}:
             raise ValueError(f"action {self.action!r}: must be 'duty' or 'torque'")
         config = load_config(None if self.config is None else Path(self.config), self.settings, [control_check()])
@@ -253,7 +255,7 @@ class BrakingEnv(gymnasium.Env[Floats, Floats]):
     def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Floats, Info]:
         """Begin the stop of another rig."""
         super().reset(seed=seed)
-        self._episodes.begin(0, _rig_seed(seed, (options or {}).get("rig_seed"), self.np_random))
+        self._episodes.begin(0, _rig_seed(seed, _named_rig(options), self.np_random))
         observations, _, _, _, info = self._episodes.now([0])
         return observations[0], _first(info)
 
@@ -290,7 +292,7 @@ class BrakingVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):
     ) -> tuple[Floats, Info]:
         """Begin the stops of other rigs."""
         seeds = _one_each("seed", seed, self.num_envs, 1)
-        rigs = _one_each("rig_seed", (options or {}).get("rig_seed"), self.num_envs, 0)
+        rigs = _one_each("rig_seed", _named_rig(options), self.num_envs, 0)
         for place, (own, rig) in enumerate(zip(seeds, rigs, strict=True)):
             if own is not None:
                 self._generators[place] = np_random(own)[0]
@@ -321,6 +323,14 @@ def _one_each(name: str, given: int | Sequence[int | None] | None, count: int, s
     if len(given) != count:
         raise ValueError(f"{name} has {len(given)} entries: must be {count}, one per environment")
     return list(given)
+
+
+def _named_rig(options: Info | None) -> Any:
+    """`rig_seed` of the options of a reset, None without. A misspelt one would silently be another rig."""
+    others = [name for name in options or {} if name != "rig_seed"]
+    if others:
+        raise ValueError(f"options {', '.join(map(repr, others))}: the only option is 'rig_seed'")
+    return (options or {}).get("rig_seed")
 
 
 def _rig_seed(seed: int | None, rig_seed: int | None, generator: np.random.Generator) -> int:

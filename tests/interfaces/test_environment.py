@@ -152,6 +152,9 @@ def test_a_rig_may_be_named_and_unnamed_ones_follow_from_the_seed():
         env.reset(options={"rig_seed": 5.5})
     with pytest.raises(ValueError, match=r"must be in 0\.\."):
         env.reset(options={"rig_seed": -1})
+    for either in (env, vector):
+        with pytest.raises(ValueError, match=r"options 'rig_sed': the only option is 'rig_seed'"):
+            either.reset(options={"rig_sed": 17})
 
 
 @compiles
@@ -256,6 +259,8 @@ def test_a_configuration_comes_from_a_file(tmp_path):
 def test_a_wrong_setting_is_the_error_of_a_configuration():
     with pytest.raises(ConfigError, match="no estimator 'kalmann'"):
         BrakingEnv(settings=["estimator.name=kalmann"])
+    with pytest.raises(ConfigError, match=r"must be a list, as in \['loop\.rate_hz=1000'\]"):
+        BrakingEnv(settings="loop.rate_hz=1000")
     with pytest.raises(ValueError, match="at least 1"):
         BrakingVectorEnv(0)
 
