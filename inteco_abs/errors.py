@@ -162,7 +162,7 @@ def near_match(word: str, known: Iterable[str]) -> str:
     """Return the end of a message about a wrong name: `"; did you mean X?"`, or the known names if none is similar."""
     known = sorted(known)
     near = difflib.get_close_matches(word, known, n=1)
-    return f"; did you mean {near[0]}?" if near else f"; known: {', '.join(known)}"
+    return f"; did you mean {near[0]}?" if near else f"; known: {', '.join(known) or 'none'}"
 
 
 def describe_disk(error: OSError) -> str:

@@ -42,6 +42,7 @@ NONE = [
     Row("nearly a shipped one", "run --controller reachin-law", 2, ("'reachin-law'",), "did you mean reaching-law?"),
     Row("no shipped one", "run --controller quantum", 2, ("'quantum'",), "known: boundary-layer, constant-rate"),
     Row("nearly its class", RUN, 2, ("no class 'Law'",), "did you mean Lab?", source("class Lab: pass\n")),
+    Row("no class at all", RUN, 2, ("no class 'Law'",), "known: none", source("def Law(): pass\n")),
     Row("bad syntax", RUN, 2, ("law.py, line 2", "SyntaxError"), "invalid syntax", source("x = 1\ndef broken(:\n")),
     Row("an import that fails", RUN, 2, ("law.py, line 1", "ModuleNotFoundError"), "No module named 'nonexistent'",
         source("import nonexistent\n")),
