@@ -52,6 +52,7 @@ def test_fuzzing_leaves_nothing_behind(fuzz, monkeypatch, tmp_path):
     elsewhere.mkdir()
     monkeypatch.setenv("TMPDIR", str(elsewhere))
     monkeypatch.setattr(fuzz, "MEMORY", tmp_path)
-    executions, _, _ = fuzz.fuzzed("configuration", 0.1)
+    executions, finding, said = fuzz.fuzzed("configuration", 0.1)
+    assert not finding, said
     assert executions
     assert list(tmp_path.rglob("*")) == [elsewhere]
