@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 _ZIP: Final = b"PK\x03\x04"
 MOST_BYTES: Final = 10_000_000
-"""Of all files beside a controller."""
+"""Size of all files beside a controller, at most."""
 
 
 class SourceFiles(NamedTuple):

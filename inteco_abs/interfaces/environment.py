@@ -75,7 +75,7 @@ class BrakingChoices:
     """Arguments of both environments, by name. Raises ValueError for what is out of range, ConfigError for settings."""
 
     population: str = "hard"
-    """Of the rigs that are drawn: `nominal`, `hard`, `rough`, `late`, `slow` or `capped`; `hard` by default."""
+    """Population of the rigs: `nominal`, `hard`, `rough`, `late`, `slow` or `capped`; `hard` by default."""
     config: str | Path | None = None
     """A rig.toml; None: the defaults."""
     settings: Sequence[str] = ()
@@ -127,7 +127,7 @@ class _Step(NamedTuple):
 
 
 def _spaces() -> tuple[Any, Any]:
-    """Of observations and of actions, new ones: each has a generator of its own."""
+    """Spaces of observations and of actions, new ones: each has a generator of its own."""
     low = np.array([-FASTEST_RAD_S, -FASTEST_RAD_S, 0.0, 0.0])
     high = np.array([FASTEST_RAD_S, FASTEST_RAD_S, 1.0, 1.0])
     return Box(low, high, dtype=np.float64), Box(0.0, 1.0, (1,), np.float64)

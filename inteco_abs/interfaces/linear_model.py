@@ -56,8 +56,8 @@ def linearised(parameters: RigParameters, slip: float, road_speed: float) -> Lin
     """The braking model at a `slip` in 0..1, both excluded, and a `road_speed` above 0 rad/s, while the brake holds it.
 
     The point is not an equilibrium, as the wheels slow down by `drift`: the model holds for times in which the road's
-    speed changes little. The poles grow like 1/speed. With an infinite `c31` the torque is no state. Raises ValueError
-    for a point outside these ranges, and where the brake would need a duty outside `u0`..1 to hold the slip.
+    speed changes little. The poles grow like 1/speed. With an infinite `c31` the torque is not a state. Raises
+    ValueError for a point outside these ranges, and where the brake would need a duty outside `u0`..1 to hold the slip.
     """
     if not (0.0 < slip < 1.0 and 0.0 < road_speed < math.inf):
         raise ValueError(f"slip {slip!r}, road speed {road_speed!r} rad/s: must be within 0..1, and above 0")

@@ -483,7 +483,7 @@ EXPORT int FMI3(SetDebugLogging)(struct instance *c, bool on, size_t count, cons
     return c ? OK : ERROR;
 }
 
-/* what the model description does not offer; whatever the arguments, the answer is an error */
+/* what the model description does not offer: always an error */
 
 #define NOT_OFFERED2(name) EXPORT int FMI2(name)() { return ERROR; }
 #define NOT_OFFERED3(name) EXPORT int FMI3(name)() { return ERROR; }

@@ -62,15 +62,15 @@ class BatchPlant:
         self.time_s = 0.0
         """Time in s since the start."""
         self.wheel_speed = self._view("wheel_speed")
-        """Of the upper wheels, rad/s."""
+        """Speeds of the upper wheels, rad/s."""
         self.road_speed = self._view("road_speed")
-        """Of the lower wheels, rad/s."""
+        """Speeds of the lower wheels, rad/s."""
         self.brake_torque = self._view("brake_torque")
         """What the brakes can hold, N m."""
         self.wheel_angle = self._view("wheel_angle")
-        """Of the upper wheels, rad."""
+        """Angles of the upper wheels, rad."""
         self.road_angle = self._view("road_angle")
-        """Of the lower wheels, rad."""
+        """Angles of the lower wheels, rad."""
 
     def __len__(self) -> int:
         return len(self._rigs)

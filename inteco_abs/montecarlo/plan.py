@@ -40,7 +40,7 @@ class Unit(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Of its files, without suffix."""
+        """Name of its files, without suffix."""
         return "-".join(map(str, self))
 
 

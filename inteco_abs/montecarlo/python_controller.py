@@ -23,7 +23,7 @@ _NO_PREDICTION: Final = (0.0,) * (1 + len(Prediction._fields))
 @dataclass(frozen=True, slots=True)
 class _Constants:
     address: int
-    """Of the function to call with _NUMBERS, which returns the brake's duty."""
+    """Address of the function to call with _NUMBERS, which returns the brake's duty."""
 
 
 @dataclass(slots=True)

@@ -35,12 +35,12 @@ class SampleSet:
 
     @property
     def name(self) -> str:
-        """As on the command line."""
+        """The draws as on the command line."""
         return f"{self.population}:{self.first}" + (f"-{self.last}" if self.last > self.first else "")
 
     @property
     def seeds(self) -> tuple[int, ...]:
-        """Of the rigs that count."""
+        """Seeds of the rigs that count."""
         return tuple(self._drawn)
 
     @property

@@ -98,7 +98,7 @@ class _Work:
             found = future.result()
         except AbsError:
             raise
-        except Exception as error:  # noqa: BLE001  whatever befell a worker
+        except Exception as error:  # noqa: BLE001  a worker may fail in any way
             if tries < _TRIES:
                 self._again.append((unit, tries + 1))
                 return

@@ -112,7 +112,7 @@ class FilesBeside:
 
 
 _loaded: dict[str, FilesBeside] = {}
-"""By the controller's name."""
+"""What was loaded, by the controller's name."""
 _looking = False
 
 
