@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from inteco_abs.boards import open_board
+from inteco_abs.boards.transports import links
 from inteco_abs.realtime.memory import Field, Mailbox
 from inteco_abs.signals import BoardFlags, Command
 
@@ -24,11 +25,12 @@ def stands_still(process):
 
 
 @pytest.fixture
-def board_with(memory, job_of, child):
+def board_with(memory, job_of, child, monkeypatch):
     """Starts the board's process with faults and a child in place of the board's holder; yields both, and the board."""
+    monkeypatch.setattr(links, "PATIENCE_S", 1.0)  # its process may wait for a processor
 
     def start(*faults):
-        job = replace(job_of(memory), faults=faults)
+        job = replace(job_of(memory, "loop.rate_hz=100"), faults=faults)
         job.post(memory)
         holder = child()
         memory.words[Field.HOLDER_PID] = memory.words[Field.LOOP_PID] = holder.pid
