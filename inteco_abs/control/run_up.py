@@ -13,7 +13,6 @@ from typing import Final
 from inteco_abs import elementary
 from inteco_abs.config import RigConfig
 from inteco_abs.rig import DriveMotor, RigParameters, nominal_drive_motor, nominal_parameters
-from inteco_abs.signals import Command
 
 _JUDGED_DUTY: Final = 0.5
 """At lower duties the wheels reach at most half of the speed limit, and dry friction, of which little is known, is a
@@ -123,26 +122,15 @@ def _drive_constants(drive: DriveMotor, parameters: RigParameters, factor: float
     )
 
 
-class RunUp(RunUpState):
-    """Compares the road wheel's mean speed over 0.1 s with the slowest and the fastest run-up that the drive may make.
-
-    These are `factor` times slower and faster than the published drive's. Where a lab has identified its own drive,
-    the square root of `factor` around that must hold as well; the published one always counts, as an identification
-    with a wrong scale confirms that scale. A run-up begins with each new duty of at least a half; it is not checked
-    while the brake acts.
-    """
-
-    def __init__(self, config: RigConfig, factor: float) -> None:
-        super().__init__()
-        self.k = run_up_constants(config, factor)
-
-    def plausible(self, now_ns: int, road_count: int, applied: Command) -> bool:
-        """Whether the drive can make this run-up under the newest `applied` command; True while that is unknown."""
-        return plausible(self.k, self, now_ns, road_count, applied.drive, applied.brake)
-
-
 def plausible(k: RunUpConstants, s: RunUpState, now_ns: int, road_count: int, duty: float, brake: float) -> bool:
-    """`RunUp.plausible`, with `duty` of the drive."""
+    """Whether the drive can make this run-up with `duty` of the drive and the `brake`; True while that is unknown.
+
+    The road wheel's mean speed over 0.1 s is compared with the slowest and the fastest run-up that the drive may make:
+    `factor` times slower and faster than the published drive's. Where a lab has identified its own drive, the square
+    root of `factor` around that must hold as well; the published one always counts, as an identification with a wrong
+    scale confirms that scale. A run-up begins with each new duty of at least a half; it is not checked while the brake
+    acts.
+    """
     if duty < _JUDGED_DUTY:
         s.duty = 0.0
         return True

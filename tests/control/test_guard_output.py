@@ -64,6 +64,10 @@ def guard():
     return Guard(CONFIG)
 
 
+def test_before_the_first_decision_nothing_is_admitted(guard):
+    assert (guard.drive, guard.brake) == (0.0, 0.0)
+
+
 @given(any_float, any_float)
 def test_any_pair_of_floats_is_admitted_inside_the_limits_or_not_at_all(drive, brake):
     guard = Guard(CONFIG)
