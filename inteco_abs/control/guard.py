@@ -83,8 +83,8 @@ class GuardState:
     rad/s in it."""
     road_times_ns: list[int]
     road_speeds: list[float]
-    oldest: int = -1
-    """Place of the oldest of these, as in `Window`."""
+    oldest: int = 0
+    """Place of the oldest of these, as in `Window`; a speed of 0 before the first allows any."""
     run_up: RunUpState = field(default_factory=RunUpState)
     reason: Reason = _NONE
     begun: bool = False
@@ -251,10 +251,6 @@ def _judge_road(k: GuardConstants, s: GuardState, now_ns: int, road: float) -> R
         return Reason.ROAD_ENCODER_FROZEN
     # counts that come and go, as from a single channel, are movement, but no braking road
     i = s.oldest
-    if i < 0:
-        for j in range(k.history):
-            s.road_times_ns[j], s.road_speeds[j] = now_ns, road
-        i = 0
     earlier = s.road_speeds[i]
     elapsed_s = (now_ns - s.road_times_ns[i]) * 1e-9
     if elapsed_s < _HISTORY_S:  # noqa: PLR1730  max() takes longer than the other checks of this function
