@@ -52,7 +52,7 @@ def drawn_speed(random_):
 
 
 def drawn_state(random_, k):
-    s = State(drawn_speed(random_), drawn_speed(random_), k.L_sin, k.L_cos, k.adhesion_scale)
+    s = State.at_speeds(k, drawn_speed(random_), drawn_speed(random_))
     s.brake_torque, s.settled_torque = random_.choice((0.0, 9.0)) * random_.random(), 9.0 * random_.random()
     s.wheel_angle, s.road_angle = random_.uniform(-1e4, 1e4), random_.uniform(-1e7, 1e7)
     return s

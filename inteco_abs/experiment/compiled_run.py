@@ -18,7 +18,7 @@ from inteco_abs.machine_code import is_own, record, restore
 from inteco_abs.mock_board import Device, FrontEnd, give_counts, take_command
 from inteco_abs.montecarlo.arrays import STATE, rig_rows
 from inteco_abs.rig.adhesion_curve import blended
-from inteco_abs.rig.model import wheel_slip
+from inteco_abs.rig.model import true_slip
 from inteco_abs.rig.plant import move_on, read_encoders
 from inteco_abs.signals import Phase
 
@@ -135,7 +135,7 @@ def run_ticks(
         board.time_ns += period_ns
         take_command(board_k, board, host.frame)
         truth.time_ns = board.time_ns
-        slip = wheel_slip(s.wheel_speed, s.road_speed, k)
+        slip = true_slip(k, s)
         truth.wheel_speed_rad_s, truth.road_speed_rad_s, truth.slip = s.wheel_speed, s.road_speed, slip
         truth.brake_torque_nm, truth.drive, truth.brake = s.brake_torque, board.drive, board.brake
         truth.adhesion = s.grip * blended(k, k.adhesion_blend, slip)

@@ -31,7 +31,7 @@ from inteco_abs.control import (
 )
 from inteco_abs.rig import LONGEST_DEAD_TIME_S, MOST_DELAY_TICKS, RigVariation
 from inteco_abs.rig.brake_actuator import settled
-from inteco_abs.rig.model import wheel_slip
+from inteco_abs.rig.model import true_slip
 from inteco_abs.rig.plant import move_on, read_encoders
 from inteco_abs.rig.state import Constants, State
 from inteco_abs.sessions import STANDSTILL_RAD_S
@@ -117,7 +117,7 @@ def observe(parts: Parts, estimate: Function, word: Callable[[int], int]) -> Non
         estimated.road_speed_rad_s,
         estimated.slip,
     )
-    stop.true_slip = wheel_slip(parts.rig.wheel_speed, parts.rig.road_speed, parts.rig_k)
+    stop.true_slip = true_slip(parts.rig_k, parts.rig)
 
 
 def respond(parts: Parts, brake: float) -> None:
@@ -170,7 +170,7 @@ def make_rig(rig: RigVariation, rolling_rad_s: float) -> tuple[Constants, State]
     k = Constants.of(rig)
     released = settled(k, 0.0)
     wheel_speed = k.r2 / k.r1 * rolling_rad_s
-    return k, State(wheel_speed, rolling_rad_s, k.L_sin, k.L_cos, k.adhesion_scale, released, released)
+    return k, State.at_speeds(k, wheel_speed, rolling_rad_s, released)
 
 
 def make_path(config: RigConfig, clock: Clock) -> tuple[Any, ...]:

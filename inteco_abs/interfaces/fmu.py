@@ -31,10 +31,10 @@ from inteco_abs.rig import LONGEST_DEAD_TIME_S, MOST_DELAY_TICKS, DriveMotor, Ri
 from inteco_abs.rig.brake_actuator import settled
 from inteco_abs.rig.model import rim_slip
 from inteco_abs.rig.plant import move_on, read_encoders
-from inteco_abs.rig.state import State
+from inteco_abs.rig.state import Constants, State, contact_rate
 from inteco_abs.sessions import check_output, write_file
 
-_FUNCTIONS: Final = (move_on, read_encoders, rim_slip, settled, mixed, elementary.sin_cos)
+_FUNCTIONS: Final = (move_on, read_encoders, rim_slip, settled, contact_rate, mixed, elementary.sin_cos)
 _ON_THE_WAY: Final = round(LONGEST_DEAD_TIME_S / STEP_S) + 2
 """Commands that a brake's dead time can hold: one for each step."""
 _EXPORTED_ONLY: Final = "-fvisibility=hidden"
@@ -53,8 +53,9 @@ def export_fmu(
     if out.suffix != ".fmu":
         raise ConfigError.of("OUT", f"{out}: must end in .fmu")
     check_output(out, "OUT")
-    found = variables(rig or RigVariation(), motor or DriveMotor())
-    source = _source(found)
+    rig, motor = rig or RigVariation(), motor or DriveMotor()
+    found = variables(rig, motor)
+    source = _source(found, Constants.of(rig, motor))
     with tempfile.TemporaryDirectory() as folder:
         library, archive = Path(folder, MODEL), Path(folder, "fmu")
         token = str(UUID(hashlib.sha256(source.encode()).hexdigest()[:32]))
@@ -70,10 +71,10 @@ def export_fmu(
         write_file(out, archive.read_bytes())
 
 
-def _source(found: list[Variable]) -> str:
+def _source(found: list[Variable], k: Constants) -> str:
     numbers = {"ROOM": _ON_THE_WAY, "MOST_DELAY": MOST_DELAY_TICKS, "VARIABLE_COUNT": len(found)}
     defined = [f"#define {name} {number}\n" for name, number in numbers.items()]
-    starts = {"k.max_step_s": initializer(STEP_S), "s": initializer(State(0.0, 0.0, 0.0, 0.0, 1.0))}
+    starts = {"k.max_step_s": initializer(STEP_S), "s": initializer(State.at_speeds(k, 0.0, 0.0))}
     own = files("inteco_abs.interfaces").joinpath("rig_fmu.c").read_text(encoding="utf-8")
     parts = [*defined, f"#define STEP_S {initializer(STEP_S)}\n", translated(_FUNCTIONS), own]
     return "".join([*parts, c_of_variables(found, starts)])

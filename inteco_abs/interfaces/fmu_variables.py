@@ -13,7 +13,7 @@ from xml.etree import ElementTree as ET
 
 from inteco_abs.c_code import initializer
 from inteco_abs.errors import AbsError
-from inteco_abs.rig import ENCODER_RANGES, RIG_RANGES, DriveMotor, RigVariation
+from inteco_abs.rig import ENCODER_RANGES, RIG_RANGES, ROADS, DriveMotor, RigVariation
 from inteco_abs.version import __version__
 
 MODEL: Final = "inteco_abs_rig"
@@ -34,16 +34,18 @@ _UNIT_OF: Final = {
     name: unit
     for unit, names in {
         "m": "r1 r2 L",
-        "s": "brake_dead_time_s grip_step_after_s",
+        "s": "brake_dead_time_s grip_step_after_s second_grip_step_after_s third_grip_step_after_s later_road_after_s "
+        "latch_jitter_s",
         "1/s": "c31",
-        "rad": "phi_rad load_ripple_phase_rad eccentricity_phase_rad",
+        "rad": "phi_rad load_ripple_phase_rad eccentricity_phase_rad second_harmonic_phase_rad damage_angle_rad",
         "rad/s": "no_load_speed_rad_s",
         "kg.m2": "J1 J2",
-        "N.m": "M10 M20 Mg b1 b2 stall_torque_nm",
+        "N.m": "M10 M20 Mg b1 b2 stall_torque_nm brake_hysteresis_nm drive_residual_nm",
         "N.m.s": "d1 d2",
     }.items()
     for name in names.split()
 }
+_SKIPPED: Final = ("parameters", "wheel_encoder", "road_encoder", "brake_map", "road", "later_road", "seed")
 _ANGLE: Final = (-1e6, 1e6)
 _SPEED: Final = (-1e3, 1e3)
 _LEAST: Final = 1e-6
@@ -53,12 +55,17 @@ _RANGES: Final = {
     **ENCODER_RANGES,
     "load_ripple_phase_rad": _ANGLE,
     "eccentricity_phase_rad": _ANGLE,
+    "second_harmonic_phase_rad": _ANGLE,
+    "damage_angle_rad": _ANGLE,
     "phi_rad": _ANGLE,
     **dict.fromkeys(("r1", "r2", "L", "J1", "J2", "Mg", "a", "p", "b1", "no_load_speed_rad_s"), (_LEAST, 1e6)),
     **dict.fromkeys(("d1", "d2", "M10", "M20", "stall_torque_nm"), (0.0, 1e6)),
     **dict.fromkeys(("w1", "w2", "w3", "w4", "b2"), (-1e3, 1e3)),
     "c31": (_LEAST, math.inf),
     "u0": (0.0, 1.0),
+    **dict.fromkeys(("road_c1", "later_c1"), (0.0, 2.0)),
+    **dict.fromkeys(("road_c2", "later_c2"), (0.0, 1e3)),
+    **dict.fromkeys(("road_c3", "later_c3"), (-2.0, 2.0)),
 }
 _UNLIMITED: Final = (-math.inf, math.inf)
 _KINDS: Final = {"float": "FLOAT", "int": "INTEGER", "bool": "FLAG"}
@@ -99,15 +106,23 @@ def variables(rig: RigVariation, motor: DriveMotor) -> list[Variable]:
         Variable("brake_torque", "s.brake_torque", "Torque that the brake can hold", unit="N.m"),
         *(_start_speed(wheel) for wheel in ("wheel", "road")),
         *_parameters(rig.parameters),
-        *_parameters(rig, skipped=("parameters", "wheel_encoder", "road_encoder", "brake_map", "seed")),
+        *_parameters(rig, skipped=_SKIPPED),
         _parameter(
             "measured_map", "FLAG", "Brake's map as measured in the manual, not a line", rig.brake_map != "line"
         ),
+        *_road("road", rig.road),
+        *_road("later", rig.later_road),
         *_parameters(rig.wheel_encoder, "wheel_encoder."),
         *_parameters(rig.road_encoder, "road_encoder."),
         *_parameters(motor),
         _parameter("seed", "WORD", "Seed of the encoders' noise", rig.seed)._replace(place="seed"),
     ]
+
+
+def _road(name: str, road: str) -> Iterator[Variable]:
+    of_it = "the road's adhesion; 0 for the rig's own" if name == "road" else "the later road's adhesion; 0 for none"
+    for i, start in enumerate(ROADS[road], 1):
+        yield _parameter(f"{name}_c{i}", "FLOAT", f"Coefficient c{i} of {of_it}", start)
 
 
 def _start_speed(wheel: str) -> Variable:

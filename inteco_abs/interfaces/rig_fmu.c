@@ -103,7 +103,7 @@ static void observe(struct rig *rig)
     const struct of_int64_int64 counts = read_encoders(&rig->k, &rig->s, rig->steps + 1);
     rig->wheel_count = counts._0;
     rig->road_count = counts._1;
-    rig->slip = rim_slip(rig->k.r1 * rig->s.wheel_speed, rig->k.r2 * rig->s.road_speed);
+    rig->slip = rim_slip(rig->s.wheel_radius * rig->s.wheel_speed, rig->k.r2 * rig->s.road_speed);
     rig->time_s = rig->start_s + (double)rig->steps * STEP_S;
 }
 
@@ -114,6 +114,7 @@ static void begin(struct rig *rig)
     const struct of_double_double lever = sin_cos(k->phi_rad);
     k->L_sin = k->L * lever._0;
     k->L_cos = k->L * lever._1;
+    k->contact_rate = contact_rate(k->road_c1 * k->road_c2, k->later_c1 * k->later_c2);
     k->noise_seed = mixed(rig->seed ^ UINT64_MAX);
     rig->s = START.s;
     rig->s.wheel_speed = rig->initial_wheel_speed;
@@ -121,7 +122,11 @@ static void begin(struct rig *rig)
     rig->s.L_sin = k->L_sin;
     rig->s.L_cos = k->L_cos;
     rig->s.grip = k->adhesion_scale;
-    rig->s.settled_torque = rig->s.newest_torque = settled(k, 0.0);
+    rig->s.wheel_radius = k->r1;
+    rig->s.road_c1 = k->road_c1;
+    rig->s.road_c2 = k->road_c2;
+    rig->s.road_c3 = k->road_c3;
+    rig->s.settled_torque = rig->s.newest_torque = rig->s.cold_torque = settled(k, 0.0);
     observe(rig);
 }
 

@@ -125,16 +125,16 @@ class QuadratureCounter:
         """The encoder on this counter."""
         return self._encoder
 
-    def value(self, angle_rad: float) -> int:
-        """Return the count as two's complement, -2^31..2^31-1."""
-        return 0 if self._held else signed32(self._edges(angle_rad) + self._offset)
+    def value(self, angle_rad: float, speed_rad_s: float) -> int:
+        """Return the count as two's complement, -2^31..2^31-1, with the wheel at `angle_rad` and this speed."""
+        return 0 if self._held else signed32(self._edges(angle_rad, speed_rad_s) + self._offset)
 
     def begin_at(self, value: int, angle_rad: float) -> None:
         """Set the count to `value` with the wheel at `angle_rad`, as after another power-up."""
         self._offset = value - self._edges(angle_rad)
 
-    def _edges(self, angle_rad: float) -> int:
-        return self._sign * self._encoder.read(angle_rad)
+    def _edges(self, angle_rad: float, speed_rad_s: float = 0.0) -> int:
+        return self._sign * self._encoder.read(angle_rad, speed_rad_s)
 
 
 class Terminals(NamedTuple):
@@ -290,7 +290,9 @@ class Device:
     def counts(self) -> tuple[int, int]:
         """Read both encoders once; return the counts of road and wheel as two's complement."""
         self.catch_up()
-        return self._road.value(self.plant.road_angle), self._wheel.value(self.plant.wheel_angle)
+        plant = self.plant
+        road = self._road.value(plant.road_angle, plant.road_speed)
+        return road, self._wheel.value(plant.wheel_angle, plant.wheel_speed)
 
     def begin_counts(self, road: int, wheel: int) -> None:
         """Set the counters to these values, as after another power-up."""

@@ -45,6 +45,6 @@ def state_rows(rigs: Sequence[Constants], wheel_speeds: NDArray[np.float64], roa
     states = []
     for k, wheel_speed, road_speed in zip(rigs, wheel_speeds, road_speeds, strict=True):
         released = settled(k, 0.0)
-        state = State(wheel_speed, road_speed, k.L_sin, k.L_cos, k.adhesion_scale, released, released)
+        state = State.at_speeds(k, wheel_speed, road_speed, released)
         states.append(astuple(state)[::-1])
     return np.array(states, STATE).view(np.recarray)

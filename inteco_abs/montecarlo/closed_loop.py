@@ -20,7 +20,7 @@ from inteco_abs.control import (
     function_of,
 )
 from inteco_abs.machine_code import record
-from inteco_abs.rig.model import wheel_slip
+from inteco_abs.rig.model import true_slip
 from inteco_abs.rig.plant import move_on, read_encoders
 from inteco_abs.sessions import STANDSTILL_RAD_S
 from inteco_abs.signals import Command, Phase, Reason, Sample
@@ -116,7 +116,7 @@ def stop(
                 began = tick
         if began >= 0:
             row = rows[tick - began]
-            row[0], row[1], row[2] = s.wheel_speed, s.road_speed, wheel_slip(s.wheel_speed, s.road_speed, k)
+            row[0], row[1], row[2] = s.wheel_speed, s.road_speed, true_slip(k, s)
             row[3], row[4], row[5], row[6] = s.brake_torque, s.road_angle, slip, guard.brake
         if ended:
             return Course(began, tick, decisions, guard.reason, True)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inteco_abs.machine_code import compiled
-from inteco_abs.rig.model import wheel_slip
+from inteco_abs.rig.model import true_slip
 from inteco_abs.rig.plant import move_on, read_encoders
 
 Floats = NDArray[np.float64]
@@ -52,7 +52,7 @@ def advance(
 def slips(rigs: Any, states: Any, found: Floats) -> None:
     """Write every rig's slip to `found`."""
     for i in range(rigs.size):
-        found[i] = wheel_slip(states[i].wheel_speed, states[i].road_speed, rigs[i])
+        found[i] = true_slip(rigs[i], states[i])
 
 
 @compiled

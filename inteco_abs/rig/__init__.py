@@ -18,6 +18,7 @@ from inteco_abs.rig.variation import (
     LONGEST_DEAD_TIME_S,
     MOST_DELAY_TICKS,
     RIG_RANGES,
+    ROADS,
     EncoderVariation,
     RigVariation,
 )
@@ -30,6 +31,7 @@ __all__ = [
     "MOST_DELAY_TICKS",
     "POPULATIONS",
     "RIG_RANGES",
+    "ROADS",
     "WORD",
     "AdhesionCurve",
     "BrakeMap",

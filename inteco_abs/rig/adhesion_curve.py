@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 from inteco_abs import elementary
 from inteco_abs.rig.friction import adhesion, adhesion_slope, formula, formula_slope, require_slip
 from inteco_abs.rig.parameters import RigParameters
+from inteco_abs.rig.state import Constants, State
 
 
 class Cubic(NamedTuple):
@@ -42,6 +43,8 @@ def monotone_cubics(points: Sequence[tuple[float, float]], first_slope: float) -
     return tuple(cubics)
 
 
+_TILT_AT: Final = 0.2
+"""Slip at which a tilt changes nothing."""
 _PUBLISHED: Final = RigParameters.named("mask")
 RISE_END: Final = MEASURED_ADHESION[0][0]
 """Slip of the first measured point; below it the curve rises as equation (8) does."""
@@ -70,6 +73,27 @@ def blended(k: RigParameters, blend: float, slip: float) -> float:
 def blended_slope(k: RigParameters, blend: float, slip: float) -> float:
     """Derivative of `blended` by slip."""
     return (1.0 - blend) * formula_slope(k, slip) + blend * _measured_slope(slip)
+
+
+def road_adhesion(k: Constants, s: State, slip: float) -> float:
+    """Adhesion of the rig's own curve or of its road at `slip` in 0..1, tilted, before the factor `grip`."""
+    if s.road_c1 > 0.0:
+        mu = s.road_c1 * (1.0 - elementary.exp(-s.road_c2 * slip)) - s.road_c3 * slip
+    else:
+        mu = blended(k, k.adhesion_blend, slip)
+    return mu * (1.0 + k.adhesion_tilt * (slip - _TILT_AT)) if k.adhesion_tilt != 0.0 else mu
+
+
+def road_adhesion_slope(k: Constants, s: State, slip: float) -> float:
+    """Derivative of `road_adhesion` by slip."""
+    if s.road_c1 > 0.0:
+        slope = s.road_c1 * s.road_c2 * elementary.exp(-s.road_c2 * slip) - s.road_c3
+    else:
+        slope = blended_slope(k, k.adhesion_blend, slip)
+    if k.adhesion_tilt == 0.0:
+        return slope
+    tilt, untilted = 1.0 + k.adhesion_tilt * (slip - _TILT_AT), road_adhesion(k, s, slip)
+    return slope * tilt + untilted / tilt * k.adhesion_tilt
 
 
 def _measured(slip: float) -> float:

@@ -55,6 +55,8 @@ def settled(k: Constants, duty: float) -> float:
     duty = min(duty, k.brake_duty_cap)
     if k.brake_pwm_steps > 0:
         duty = math.floor(duty * k.brake_pwm_steps + EXACT) / k.brake_pwm_steps
+    if k.supply_sag > 0.0:
+        duty -= k.supply_sag * duty * duty
     duty -= k.brake_duty_offset
     return k.brake_gain * (interpolated(MEASURED_TORQUE, duty) if k.measured_map else brake_torque(duty, k))
 
@@ -62,22 +64,41 @@ def settled(k: Constants, duty: float) -> float:
 def command(k: Constants, s: State, due_s: list[float], torques: list[float], duty: float) -> None:
     """Put `duty` (0..1) at the terminals; it acts a dead time later."""
     s.newest_duty, torque = duty, settled(k, duty)
+    if k.brake_hysteresis_nm > 0.0 and torque > 0.0:
+        play = 0.5 * k.brake_hysteresis_nm
+        torque = max(0.0, min(max(s.newest_torque, torque - play), torque + play))
     if torque != s.newest_torque:
         s.newest_torque = torque
         if k.brake_dead_time_s == 0.0:
-            s.settled_torque = torque
+            aim(k, s, torque)
             return
         i = s.sent % len(due_s)
         due_s[i], torques[i] = s.time_s + k.brake_dead_time_s, torque
         s.sent += 1
 
 
-def act_on_arrived(s: State, due_s: list[float], torques: list[float]) -> float:
+def aim(k: Constants, s: State, torque: float) -> None:
+    """Let the brake approach what it is now of `torque` in N m of a cold one."""
+    s.cold_torque = torque
+    s.settled_torque = torque * s.fade
+    if k.brake_release_ratio != 1.0:
+        s.lag_step_s = math.nan  # rise and release differ
+
+
+def heat(k: Constants, s: State, duration_s: float) -> None:
+    """Let the work in the brake over the last `duration_s` fade it, and wear the wheel."""
+    s.brake_work_kj += 0.001 * abs(s.brake_torque * s.wheel_speed) * duration_s
+    s.fade = 1.0 / (1.0 + k.brake_fade_per_kj * s.brake_work_kj)
+    s.wheel_radius = k.r1 * max(0.5, 1.0 - k.wheel_wear_per_kj * s.brake_work_kj)
+    aim(k, s, s.cold_torque)
+
+
+def act_on_arrived(k: Constants, s: State, due_s: list[float], torques: list[float]) -> float:
     """Apply the commands that act by now; return the time in s of the next one, or infinity."""
     while s.arrived < s.sent:
         i = s.arrived % len(due_s)
         if due_s[i] > s.time_s + SAME_TIME_S:
             return due_s[i]
-        s.settled_torque = torques[i]
+        aim(k, s, torques[i])
         s.arrived += 1
     return math.inf

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from inteco_abs.rig.adhesion_curve import blended, blended_slope
+from inteco_abs.rig.adhesion_curve import road_adhesion, road_adhesion_slope
 from inteco_abs.rig.friction import formula, formula_slope
 from inteco_abs.rig.parameters import RigParameters
 from inteco_abs.rig.state import Constants, State
@@ -33,6 +33,11 @@ def rim_slip(rim1: float, rim2: float) -> float:
     return (rim2 - rim1) / rim2 if rim2 < rim1 else (rim1 - rim2) / rim1  # both turn backwards
 
 
+def true_slip(k: Constants, s: State) -> float:
+    """Slip of the rig now."""
+    return rim_slip(s.wheel_radius * s.wheel_speed, k.r2 * s.road_speed)
+
+
 class Motion(NamedTuple):
     """Accelerations and contact of one instant."""
 
@@ -52,10 +57,10 @@ def rates(
     k: Constants, s: State, wheel_speed: float, road_speed: float, brake_torque: float, drive_torque: float
 ) -> tuple[float, float, float, float, float]:
     """The fields of `Motion` as a plain tuple, for speed: this is the inner loop of every simulation."""
-    rim1, rim2 = k.r1 * wheel_speed, k.r2 * road_speed
+    r1 = s.wheel_radius
+    rim1, rim2 = r1 * wheel_speed, k.r2 * road_speed
     slip = rim_slip(rim1, rim2)
-    blend = k.adhesion_blend
-    mu = formula(k, slip) if blend == 0.0 else blended(k, blend, slip)
+    mu = formula(k, slip) if k.plain_curve else road_adhesion(k, s, slip)
     traction = s.grip * mu
     if rim2 < rim1:
         traction = -traction
@@ -68,12 +73,12 @@ def rates(
         resisting = k.d1 * wheel_speed - held
     else:
         # the brake takes the road's torque, up to what it can hold; that enters the lever's balance
-        reaction = k.Mg / (lever - k.r1 * traction) * k.r1 * traction
+        reaction = k.Mg / (lever - r1 * traction) * r1 * traction
         moves = abs(reaction) > held
         resisting = math.copysign(held, reaction) if moves else reaction
     normal = (k.Mg + resisting) / lever  # (5)
     push = normal * traction
-    wheel = (push * k.r1 - resisting) / k.J1 if moves else 0.0  # (2)
+    wheel = (push * r1 - resisting) / k.J1 if moves else 0.0  # (2)
     load = drive_torque - push * k.r2 - k.d2 * road_speed
     if road_speed > 0.0:
         load -= k.M20
@@ -94,18 +99,18 @@ def contact_stiffness(
     """
     if wheel_speed <= 0.0 or road_speed <= 0.0 or slip == 0.0:
         return 0.0, 0.0, 0.0, 0.0
-    blend = k.adhesion_blend
-    mu_slope = formula_slope(k, slip) if blend == 0.0 else blended_slope(k, blend, slip)
+    r1 = s.wheel_radius
+    mu_slope = formula_slope(k, slip) if k.plain_curve else road_adhesion_slope(k, s, slip)
     slope = s.grip * mu_slope
     force = normal * s.L_sin / (s.L_sin - s.L_cos * traction)
     slower = 1.0 - slip
-    if k.r2 * road_speed > k.r1 * wheel_speed:
+    if k.r2 * road_speed > r1 * wheel_speed:
         unit = slope / (k.r2 * road_speed)
-        row1, row2 = -unit * k.r1, unit * k.r2 * slower
+        row1, row2 = -unit * r1, unit * k.r2 * slower
     else:
-        unit = slope / (k.r1 * wheel_speed)
-        row1, row2 = -unit * k.r1 * slower, unit * k.r2
-    return force * k.r1 / k.J1, -force * k.r2 / k.J2, row1, row2
+        unit = slope / (r1 * wheel_speed)
+        row1, row2 = -unit * r1 * slower, unit * k.r2
+    return force * r1 / k.J1, -force * k.r2 / k.J2, row1, row2
 
 
 def accelerations(
@@ -117,7 +122,7 @@ def accelerations(
     lower wheel (the paper's model has none: its drive is off while braking).
     """
     k = Constants.of(RigVariation(parameters))
-    state = State(wheel_speed, road_speed, k.L_sin, k.L_cos, k.adhesion_scale)
+    state = State.at_speeds(k, wheel_speed, road_speed)
     return Motion(*rates(k, state, wheel_speed, road_speed, brake_torque, drive_torque))
 
 

@@ -15,18 +15,16 @@ from typing import Final
 
 from inteco_abs import elementary
 from inteco_abs.rig.actuators import DriveMotor, brake_torque, drive_torque
-from inteco_abs.rig.adhesion_curve import blended
-from inteco_abs.rig.brake_actuator import SAME_TIME_S, act_on_arrived, command, settled
-from inteco_abs.rig.encoder import count
-from inteco_abs.rig.model import contact_stiffness, rates, wheel_slip
+from inteco_abs.rig.adhesion_curve import road_adhesion
+from inteco_abs.rig.brake_actuator import SAME_TIME_S, act_on_arrived, command, heat, settled
+from inteco_abs.rig.encoder import count, latch_error_s
+from inteco_abs.rig.model import contact_stiffness, rates, true_slip
 from inteco_abs.rig.parameters import RigParameters
 from inteco_abs.rig.rng import normal_pair
-from inteco_abs.rig.state import Constants, State
+from inteco_abs.rig.state import Constants, State, start_values
 from inteco_abs.rig.variation import RigVariation
 
 GAMMA: Final = 1.0 - math.sqrt(0.5)
-CONTACT_RATE: Final = 15.6e3
-"""Largest contact eigenvalue times the speed, rad/s2, of both published sets."""
 STIFF: Final = 0.25
 """Step times eigenvalue from which the contact is solved implicitly."""
 FOLLOWED: Final = 0.5
@@ -62,20 +60,20 @@ class Plant(State):
         self.parameters = variation.parameters
         self.motor = motor or DriveMotor()
         self.constants = k = Constants.of(variation, self.motor, max_step_s)
-        super().__init__(wheel_speed, road_speed, k.L_sin, k.L_cos, k.adhesion_scale)
-        self.settled_torque = self.newest_torque = settled(k, 0.0)
+        super().__init__(wheel_speed, road_speed, *start_values(k))
+        self.settled_torque = self.newest_torque = self.cold_torque = settled(k, 0.0)
         self.commands: tuple[list[float], list[float]] = ([0.0], [0.0])
         """Times in s at which commands act, and their torques in N m: rings, of a power of two."""
 
     @property
     def slip(self) -> float:
         """Slip in 0..1, equation (7)."""
-        return wheel_slip(self.wheel_speed, self.road_speed, self.parameters)
+        return true_slip(self.constants, self)
 
     @property
     def adhesion(self) -> float:
         """Adhesion coefficient of the road at this slip, equation (8) or the rig's own."""
-        return self.grip * blended(self.constants, self.constants.adhesion_blend, self.slip)
+        return self.grip * road_adhesion(self.constants, self, self.slip)
 
     def advance(self, drive: float, brake: float, duration_s: float) -> None:
         """Advance by `duration_s` >= 0 with constant duties in 0..1; raises ValueError outside."""
@@ -95,13 +93,17 @@ def read_encoders(k: Constants, s: State, reading: int) -> tuple[int, int]:
     noise1 = noise2 = 0.0
     if k.wheel_encoder.jitter_counts > 0.0 or k.road_encoder.jitter_counts > 0.0:
         noise1, noise2 = normal_pair(k.noise_seed, reading)
-    return count(k.wheel_encoder, s.wheel_angle, noise1), count(k.road_encoder, s.road_angle, noise2)
+    wheel, road = s.wheel_angle, s.road_angle
+    if k.latch_jitter_s > 0.0:
+        late_s = latch_error_s(k.latch_jitter_s, k.noise_seed, reading)
+        wheel, road = wheel + s.wheel_speed * late_s, road + s.road_speed * late_s
+    return count(k.wheel_encoder, wheel, noise1), count(k.road_encoder, road, noise2)
 
 
 def move_on(
     k: Constants, s: State, due_s: list[float], torques: list[float], drive: float, brake: float, duration_s: float
 ) -> None:
-    """Advance in parts that end where a delayed command acts or the road's adhesion steps."""
+    """Advance in parts that end where a delayed command acts or the road changes."""
     if k.plain:
         s.settled_torque = brake_torque(brake, k)
         _move(k, s, drive, duration_s)
@@ -113,24 +115,54 @@ def move_on(
         s.braking_since_s = math.inf
     elif brake > 0.0:
         s.braking_since_s = min(s.braking_since_s, s.time_s)
-    step_s = s.braking_since_s + k.grip_step_after_s
     left_s = duration_s
     while True:
-        arrival_s = act_on_arrived(s, due_s, torques) if s.arrived < s.sent else math.inf
-        stepped = s.time_s >= step_s - SAME_TIME_S
-        s.grip = k.adhesion_scale * (1.0 + k.grip_step) if stepped else k.adhesion_scale
-        until_s = arrival_s if stepped or arrival_s < step_s else step_s
-        part_s = min(left_s, until_s - s.time_s)
+        arrival_s = act_on_arrived(k, s, due_s, torques) if s.arrived < s.sent else math.inf
+        change_s = _change_road(k, s)
+        part_s = min(left_s, min(arrival_s, change_s) - s.time_s)
         _move(k, s, drive, part_s)
         s.time_s += part_s
+        if k.brake_fade_per_kj > 0.0 or k.wheel_wear_per_kj > 0.0:
+            heat(k, s, part_s)
         if part_s == left_s:
             break
         left_s -= part_s
 
 
+def _change_road(k: Constants, s: State) -> float:
+    """Set the adhesion of this time of the stop; return the time in s of its next change, or infinity."""
+    step, change_s = 0.0, math.inf
+    at_s = s.braking_since_s + k.grip_step_after_s
+    if s.time_s >= at_s - SAME_TIME_S:
+        step = k.grip_step
+    else:
+        change_s = at_s
+    if k.second_grip_step_after_s > 0.0:
+        at_s = s.braking_since_s + k.second_grip_step_after_s
+        if s.time_s >= at_s - SAME_TIME_S:
+            step = k.second_grip_step
+        else:
+            change_s = min(change_s, at_s)
+    if k.third_grip_step_after_s > 0.0:
+        at_s = s.braking_since_s + k.third_grip_step_after_s
+        if s.time_s >= at_s - SAME_TIME_S:
+            step = k.third_grip_step
+        else:
+            change_s = min(change_s, at_s)
+    s.grip = k.adhesion_scale * (1.0 + step)
+    if k.later_c1 > 0.0:
+        at_s = s.braking_since_s + k.later_road_after_s
+        if s.time_s >= at_s - SAME_TIME_S:
+            s.road_c1, s.road_c2, s.road_c3 = k.later_c1, k.later_c2, k.later_c3
+        else:
+            s.road_c1, s.road_c2, s.road_c3 = k.road_c1, k.road_c2, k.road_c3
+            change_s = min(change_s, at_s)
+    return change_s
+
+
 def _move(k: Constants, s: State, drive: float, duration_s: float) -> None:
     """Advance the wheels with a brake that settles to `settled_torque`; the caller advances the time."""
-    if duration_s <= k.max_step_s and s.road_speed > duration_s * CONTACT_RATE / FOLLOWED:
+    if duration_s <= k.max_step_s and s.road_speed > duration_s * k.contact_rate / FOLLOWED:
         _step(k, s, drive, duration_s)  # one block, one cut
         return
     if s.wheel_speed == 0.0 == s.road_speed and drive_torque(k, drive, 0.0) <= k.M20:
@@ -139,14 +171,14 @@ def _move(k: Constants, s: State, drive: float, duration_s: float) -> None:
     blocks = math.ceil(duration_s / k.max_step_s - 1e-9)
     for _ in range(blocks):
         block_s = duration_s / blocks
-        cuts = _cuts(s, block_s)
+        cuts = _cuts(k, s, block_s)
         for _ in range(cuts):
             _step(k, s, drive, block_s / cuts)
 
 
-def _cuts(s: State, block_s: float) -> int:
+def _cuts(k: Constants, s: State, block_s: float) -> int:
     fastest = max(abs(s.wheel_speed), abs(s.road_speed))
-    wanted = block_s * CONTACT_RATE / FOLLOWED
+    wanted = block_s * k.contact_rate / FOLLOWED
     return MOST_CUTS if wanted >= MOST_CUTS * fastest else math.ceil(wanted / fastest)
 
 
@@ -197,14 +229,14 @@ def _next_speeds(k: Constants, s: State, drive: float, h: float) -> tuple[float,
     if k.load_ripple != 0.0:
         _press(k, s, h)
     x1, x2 = s.wheel_speed, s.road_speed
-    torque, target = s.brake_torque, s.settled_torque
+    torque, target, residual = s.brake_torque, s.settled_torque, k.drive_residual_nm
     if torque != target:
         # the exact mean over the step: the speeds follow the brake's impulse, however fast the brake is
         if h != s.lag_step_s:
             _brake_lag(k, s, h)
         torque = target + (torque - target) * s.lag_mean
-    k1, k2, normal, traction, slip = rates(k, s, x1, x2, torque, drive_torque(k, drive, x2) if drive else 0.0)
-    stiff = h * CONTACT_RATE > STIFF * (max(x2, x1))
+    k1, k2, normal, traction, slip = rates(k, s, x1, x2, torque, drive_torque(k, drive, x2) if drive else residual)
+    stiff = h * k.contact_rate > STIFF * (max(x2, x1))
     if stiff:
         column1, column2, row1, row2 = contact_stiffness(k, s, x1, x2, normal, traction, slip)
         # on the falling side of the friction curve the contact is unstable but slow: damping it would be wrong
@@ -215,7 +247,7 @@ def _next_speeds(k: Constants, s: State, drive: float, h: float) -> tuple[float,
     end1, end2 = x1 + h * k1, x2 + h * k2
     end1 = end1 if x1 * end1 >= 0.0 else x1 * ALMOST_AT_REST
     end2 = end2 if x2 * end2 >= 0.0 else x2 * ALMOST_AT_REST
-    a1, a2, _, _, _ = rates(k, s, end1, end2, torque, drive_torque(k, drive, end2) if drive else 0.0)
+    a1, a2, _, _, _ = rates(k, s, end1, end2, torque, drive_torque(k, drive, end2) if drive else residual)
     a1 -= 2.0 * k1
     a2 -= 2.0 * k2
     if stiff:
@@ -233,6 +265,8 @@ def _press(k: Constants, s: State, h: float) -> None:
 
 def _brake_lag(k: Constants, s: State, h: float) -> None:
     rate = k.c31 * h if h > 0.0 else 0.0  # c31 may be infinite
+    if k.brake_release_ratio != 1.0 and s.settled_torque < s.brake_torque:
+        rate /= k.brake_release_ratio
     s.lag_step_s, s.lag_left = h, elementary.exp(-rate)
     s.lag_mean = (1.0 - s.lag_left) / rate if rate > 0.0 else 1.0
 

@@ -10,7 +10,7 @@ from inteco_abs.rig.actuators import DriveMotor
 from inteco_abs.rig.encoder import noise_seed
 from inteco_abs.rig.parameters import RigParameters
 from inteco_abs.rig.rng import Word
-from inteco_abs.rig.variation import EncoderVariation, RigVariation
+from inteco_abs.rig.variation import ROADS, EncoderVariation, RigVariation
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +30,19 @@ class Constants(RigParameters):
     grip_step_after_s: float
     wheel_encoder: EncoderVariation
     road_encoder: EncoderVariation
+    second_grip_step: float
+    second_grip_step_after_s: float
+    third_grip_step: float
+    third_grip_step_after_s: float
+    adhesion_tilt: float
+    later_road_after_s: float
+    brake_release_ratio: float
+    brake_hysteresis_nm: float
+    brake_fade_per_kj: float
+    wheel_wear_per_kj: float
+    supply_sag: float
+    drive_residual_nm: float
+    latch_jitter_s: float
     command_delay_ticks: int
     stall_torque_nm: float
     no_load_speed_rad_s: float
@@ -41,12 +54,25 @@ class Constants(RigParameters):
     noise_seed: Word
     plain: bool
     """Whether commands act at once and the adhesion has no step, as in `RigVariation.plain_plant`."""
+    road_c1: float
+    """Coefficients of the road, as in `ROADS`; 0 for the rig's own curve."""
+    road_c2: float
+    road_c3: float
+    later_c1: float
+    """Those of the later road; 0 for none."""
+    later_c2: float
+    later_c3: float
+    plain_curve: bool
+    """Whether the adhesion curve is that of equation (8)."""
+    contact_rate: float
+    """Largest contact eigenvalue times the speed, rad/s2."""
 
     @staticmethod
     def of(rig: RigVariation, motor: DriveMotor | None = None, max_step_s: float = 0.0005) -> Constants:
         """The rig's constants."""
         k, motor = rig.parameters, motor or DriveMotor()
         sine, cosine = elementary.sin_cos(k.phi_rad)
+        road, later = ROADS[rig.road], ROADS[rig.later_road]
         return Constants(
             **{name: getattr(k, name) for name in _PARAMETERS},
             **{name: getattr(rig, name) for name in _OWN},
@@ -58,7 +84,23 @@ class Constants(RigParameters):
             measured_map=rig.brake_map == "measured",
             noise_seed=noise_seed(rig),
             plain=rig.plain_plant,
+            road_c1=road[0],
+            road_c2=road[1],
+            road_c3=road[2],
+            later_c1=later[0],
+            later_c2=later[1],
+            later_c3=later[2],
+            plain_curve=not (rig.adhesion_blend or rig.adhesion_tilt or rig.road or rig.later_road),
+            contact_rate=contact_rate(road[0] * road[1], later[0] * later[1]),
         )
+
+
+def contact_rate(road_slope: float, later_slope: float) -> float:
+    """Largest contact eigenvalue times the speed, rad/s2, with roads of these slopes of the adhesion at zero slip.
+
+    It is 15.6e3 for both published sets, whose curve has a slope of at most 13.8.
+    """
+    return 15.6e3 * max(1.0, road_slope / 13.8, later_slope / 13.8)
 
 
 _PARAMETERS = tuple(field.name for field in fields(RigParameters))
@@ -76,6 +118,12 @@ class State:
     L_cos: float
     grip: float
     """Factor on the adhesion: the rig's own, which the road may change during a stop."""
+    wheel_radius: float
+    """Radius of the upper wheel, which wears, m."""
+    road_c1: float
+    """Coefficients of the road's adhesion, as in `ROADS`; 0 for the rig's own curve."""
+    road_c2: float
+    road_c3: float
     settled_torque: float = 0.0
     """Torque that the brake approaches now."""
     newest_torque: float = 0.0
@@ -97,3 +145,20 @@ class State:
     """Commands that went to the brake with a dead time."""
     arrived: int = 0
     """Number of these commands that act already."""
+    cold_torque: float = 0.0
+    """Torque that a cold brake would approach now."""
+    fade: float = 1.0
+    """Share of it that the hot brake has."""
+    brake_work_kj: float = 0.0
+
+    @staticmethod
+    def at_speeds(k: Constants, wheel_speed: float, road_speed: float, released_nm: float = 0.0) -> State:
+        """The state of a rig at these speeds in rad/s, with a brake that settles to `released_nm`."""
+        state = State(wheel_speed, road_speed, *start_values(k), released_nm, released_nm)
+        state.cold_torque = released_nm
+        return state
+
+
+def start_values(k: Constants) -> tuple[float, float, float, float, float, float, float]:
+    """Values of the fields of `State` that follow the speeds and have no default."""
+    return k.L_sin, k.L_cos, k.adhesion_scale, k.r1, k.road_c1, k.road_c2, k.road_c3

@@ -30,7 +30,7 @@ def _require_within(slip: float, road_speed: float) -> None:
 
 
 def _holding(k: Constants, slip: float, road_speed: float) -> float:
-    state = State(0.0, 0.0, k.L_sin, k.L_cos, k.adhesion_scale)
+    state = State.at_speeds(k, 0.0, 0.0)
     rim_ratio = (1.0 - slip) * k.r2 / k.r1
 
     def excess(torque: float) -> float:

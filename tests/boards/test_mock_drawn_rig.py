@@ -59,12 +59,12 @@ def test_counts_are_those_of_the_rigs_encoders_reading_by_reading(new_mock):
     encoders = Encoder(rig, wheel=False), Encoder(rig, wheel=True)
     for reading in exchanges(mock):
         readings.append(reading)
-        road.append(encoders[0].read(mock.device.plant.road_angle))
-        wheel.append(encoders[1].read(mock.device.plant.wheel_angle))
+        road.append(encoders[0].read(mock.device.plant.road_angle, mock.device.plant.road_speed))
+        wheel.append(encoders[1].read(mock.device.plant.wheel_angle, mock.device.plant.wheel_speed))
     assert since_the_first(readings) == since_the_first(list(zip(road, wheel, strict=True)))
     smooth = replace(rig, road_encoder=EncoderVariation(), wheel_encoder=EncoderVariation())
     ideal = Encoder(smooth, wheel=False)
-    assert {road[i] - ideal.read(0.0) for i in range(5)} != {0}  # it is the noise that is compared
+    assert {road[i] - ideal.read(0.0, 0.0) for i in range(5)} != {0}  # it is the noise that is compared
 
 
 def test_each_reading_has_noise_of_its_own_also_at_one_instant(new_mock):

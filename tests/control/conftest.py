@@ -289,7 +289,8 @@ class Rolling:
         self._tick, self._time_ns, self._dt_s = 0, FIRST_NS, self.period_s
 
     def sample(self, flags: BoardFlags = BoardFlags.NONE) -> Sample:
-        counts = self._encoders[0].read(self.plant.wheel_angle), self._encoders[1].read(self.plant.road_angle)
+        plant, (wheel, road) = self.plant, self._encoders
+        counts = wheel.read(plant.wheel_angle, plant.wheel_speed), road.read(plant.road_angle, plant.road_speed)
         return Sample(self._tick, self._time_ns, self._dt_s, *counts, flags)
 
     def move(self, periods: int = 1) -> None:

@@ -40,7 +40,7 @@ def run_up(disc, encoder, until_rad_s, since_rad_s=0.0):
         elapsed_s = tick * PERIOD_S
         speed = since_rad_s + RUN_UP_RAD_S2 * elapsed_s
         angle = 0.5 * (since_rad_s + speed) * elapsed_s
-        follow(DISC, disc, encoder.read(angle) * COUNT_RAD, PERIOD_S)
+        follow(DISC, disc, encoder.read(angle, 0.0) * COUNT_RAD, PERIOD_S)
         errors.append((speed, disc.speed - speed))
     return errors
 

@@ -120,7 +120,7 @@ def test_f_and_g_are_the_slips_derivative_by_the_physics_of_the_drawn_rig(shares
     drawn = drawn_from(BOXES["hard"], shares)
     rig, k = drawn.rig, drawn.rig.parameters
     constants = Constants.of(rig)
-    state = State(0.0, 0.0, constants.L_sin, constants.L_cos, constants.adhesion_scale)
+    state = State.at_speeds(constants, 0.0, 0.0)
     rim_ratio = (1.0 - slip) * k.r2 / k.r1
     assert wheel_slip(rim_ratio * speed, speed, k) == pytest.approx(slip)
     a, b, c = terms(drawn, slip, MASK)

@@ -18,7 +18,7 @@ from inteco_abs.c_code import compiled_c
 from inteco_abs.errors import AbsError, ConfigError
 from inteco_abs.interfaces.fmu import export_fmu
 from inteco_abs.interfaces.fmu_variables import FMI_VERSIONS, MODEL, STEP_S, variables
-from inteco_abs.rig import DriveMotor, Encoder, Plant, RigVariation, draw
+from inteco_abs.rig import DriveMotor, Encoder, EncoderVariation, Plant, RigVariation, draw
 
 OUTPUTS = ("wheel_count", "road_count", "wheel_speed", "road_speed", "slip", "brake_torque")
 RIGS = {"2.0": draw("rough", 17), "3.0": draw("nominal", 3)}
@@ -41,6 +41,23 @@ def unpacked(exported, tmp_path_factory):
     return {fmi: fmpy.extract(path, str(tmp_path_factory.mktemp("unpacked"))) for fmi, path in exported.items()}
 
 
+DEFECTIVE = RigVariation(
+    brake_release_ratio=2.0,
+    brake_hysteresis_nm=0.3,
+    brake_fade_per_kj=1.0,
+    wheel_wear_per_kj=0.05,
+    supply_sag=0.1,
+    second_grip_step=-0.3,
+    second_grip_step_after_s=0.1,
+    road="snow",
+    later_road="wet-cobblestone",
+    later_road_after_s=0.2,
+    latch_jitter_s=0.0002,
+    drive_residual_nm=0.05,
+    wheel_encoder=EncoderVariation(2048, 0.3, 0.5, 1.0, 0.3, 0.4, 2.0, 4.0, 1.0, 0.02),
+)
+
+
 def engine(rig, speeds, duties):
     """Outputs at the start and after each step of scalar plant and encoders, commands the rig's delay late."""
     plant, wheel, road = Plant(rig, *speeds), Encoder(rig, wheel=True), Encoder(rig, wheel=False)
@@ -49,7 +66,7 @@ def engine(rig, speeds, duties):
         if sent is not None:
             late.append(sent)
             plant.advance(*late.popleft(), STEP_S)
-        counts = wheel.read(plant.wheel_angle), road.read(plant.road_angle)
+        counts = wheel.read(plant.wheel_angle, plant.wheel_speed), road.read(plant.road_angle, plant.road_speed)
         rows.append((*counts, plant.wheel_speed, plant.road_speed, plant.slip, plant.brake_torque))
     return rows
 
@@ -96,8 +113,9 @@ def test_fmpys_validation_finds_nothing(exported, fmi):
         ("2.0", draw("rough", 17), (59.0, 60.0)),
         ("3.0", draw("nominal", 3), (50.0, 60.0)),
         ("3.0", draw("late", 1 << 63 | 5), (60.0, 60.0)),
+        ("3.0", DEFECTIVE, (60.0, 60.0)),
     ],
-    ids=["published", "rough", "nominal", "late"],
+    ids=["published", "rough", "nominal", "late", "defective"],
 )
 def test_a_trajectory_in_fmpy_is_the_engines_to_the_bit(exported, fmi, rig, speeds):
     duties = a_stop()

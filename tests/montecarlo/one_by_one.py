@@ -31,7 +31,10 @@ class Scalars:
 
     def read_encoders(self):
         pairs = zip(self.plants, self.encoders, strict=True)
-        counts = [(wheel.read(plant.wheel_angle), road.read(plant.road_angle)) for plant, (wheel, road) in pairs]
+        counts = [
+            (wheel.read(plant.wheel_angle, plant.wheel_speed), road.read(plant.road_angle, plant.road_speed))
+            for plant, (wheel, road) in pairs
+        ]
         return np.array(counts).T
 
     def state(self, name):
@@ -72,6 +75,25 @@ def rigs_of_all_kinds():
         RigVariation(brake_dead_time_s=0.1, command_delay_ticks=3),
         RigVariation(load_ripple=0.3, load_ripple_phase_rad=2.0, road_encoder=disc),
         RigVariation(adhesion_scale=0.6, grip_step=0.8, grip_step_after_s=0.05),
+        RigVariation(
+            grip_step=-0.3,
+            second_grip_step=0.4,
+            second_grip_step_after_s=0.1,
+            third_grip_step=-0.5,
+            third_grip_step_after_s=0.2,
+            adhesion_tilt=0.5,
+            drive_residual_nm=0.05,
+        ),
+        RigVariation(
+            brake_release_ratio=3.0,
+            brake_hysteresis_nm=0.5,
+            brake_fade_per_kj=2.0,
+            wheel_wear_per_kj=0.05,
+            supply_sag=0.1,
+            latch_jitter_s=0.0002,
+            wheel_encoder=EncoderVariation(2048, 0.3, 0.5, 1.0, 0.3, 0.4, 2.0, 4.0, 1.0, 0.02),
+        ),
+        RigVariation(road="ice", later_road="wet-asphalt", later_road_after_s=0.15, adhesion_tilt=-0.3),
     ]
 
 

@@ -33,7 +33,7 @@ class Loop:
 
     def sample(self):
         plant, (wheel, road) = self.plant, self._encoders
-        counts = wheel.read(plant.wheel_angle), road.read(plant.road_angle)
+        counts = wheel.read(plant.wheel_angle, plant.wheel_speed), road.read(plant.road_angle, plant.road_speed)
         return Sample(self._number, self._number * self._period_ns, self._period_ns / 1e9, *counts)
 
     def go_on(self, command):

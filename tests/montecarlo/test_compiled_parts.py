@@ -62,7 +62,10 @@ def recorded(population, seed):
     wheel, road = Encoder(rig, wheel=True), Encoder(rig, wheel=False)
     time_ns, periods = 0, 1
     while plant.road_speed > 1.0:
-        counts, tick = (wheel.read(plant.wheel_angle), road.read(plant.road_angle)), len(watched.seen)
+        counts, tick = (
+            (wheel.read(plant.wheel_angle, plant.wheel_speed), road.read(plant.road_angle, plant.road_speed)),
+            len(watched.seen),
+        )
         pipeline.step(Sample(tick, time_ns, periods * PERIOD_NS * 1e-9, *counts))
         periods = 3 if tick % 97 == 96 else 1
         plant.advance(*pipeline.command, periods * PERIOD_NS * 1e-9)

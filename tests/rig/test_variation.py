@@ -225,11 +225,16 @@ def test_halving_the_step_converges_for_drawn_rigs_down_to_standstill(population
 
 def test_every_default_that_the_plant_looks_at_makes_it_plain():
     assert RigVariation().plain_plant
-    others = {"brake_map": "measured", "brake_pwm_steps": 255, "brake_duty_cap": 0.7}
+    others = {"brake_map": "measured", "brake_pwm_steps": 255, "brake_duty_cap": 0.7, "drive_residual_nm": 0.05}
+    others |= {"road": "ice", "later_road": "ice", "wheel_wear_per_kj": 0.01}
     ignored = {
         "parameters",
         "load_ripple_phase_rad",
         "grip_step_after_s",
+        "second_grip_step",
+        "third_grip_step",
+        "later_road_after_s",
+        "latch_jitter_s",
         "wheel_encoder",
         "road_encoder",
         "command_delay_ticks",
