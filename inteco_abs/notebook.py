@@ -21,6 +21,7 @@ from inteco_abs.experiment import Plan, replay_problem
 from inteco_abs.experiment import run_stop as run_experiment
 from inteco_abs.mock_board import rig_check
 from inteco_abs.plugins import FROM_FILE, Controllers, Origin, load_controller
+from inteco_abs.population_file import rig_settings
 from inteco_abs.sessions import card_of
 
 if TYPE_CHECKING:
@@ -157,12 +158,13 @@ def connect(
     config: str | Path | None = None,
     settings: Mapping[str, Any] | None = None,
 ) -> Rig:
-    """The board at an address as for `run --board`; with the mock board, `rig` is a sampled rig such as "hard:17".
+    """The board at an address as for `run --board`.
 
-    Nothing is opened before a run. Raises ConfigError or BoardError for a wrong address, file or setting.
+    With the mock board, `rig` is a sampled rig such as "hard:17" or "my-lab.toml:17". Nothing is opened before a run.
+    Raises ConfigError or BoardError for a wrong address, file or setting.
     """
     check_address(board)
-    drawn = {} if rig is None else {"simulation.rig": rig}
+    drawn = rig_settings(rig, "rig")
     found = Rig(board, None if config is None else Path(config), {**(settings or {}), **drawn})
     check_kind(board, found.config())
     return found

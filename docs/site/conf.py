@@ -14,7 +14,8 @@ ROOT = Path(__file__).resolve().parents[2]
 CONTENTS = {
     "Tutorials": ["docs/tutorials/*.md"],
     "Guides": [
-        "docs/safety.md", "docs/troubleshooting.md", "docs/settings.md", "docs/controllers.md", "docs/sweeps.md",
+        "docs/safety.md", "docs/troubleshooting.md", "docs/settings.md", "docs/controllers.md",
+        "docs/populations.md", "docs/sweeps.md",
         "docs/sessions.md", "docs/interfaces.md", "docs/boards.md", "docs/real-time.md", "docs/hazards.md",
         "docs/watchdog.md", "docs/parity.md",
     ],

@@ -205,7 +205,7 @@ _OPTIONS: Final = {
     "seed": _option("--seed", default=0, show_default=True, type=Whole(0),
                     help="Seed of the mock board's random state."),
     "rig": _option("--rig", metavar="POPULATION:SEED",
-                   help="Simulate a sampled rig, as hard:17; default: the published one."),
+                   help="Simulate a sampled rig, as hard:17 or my-lab.toml:17; default: the published one."),
     "config": _option("--config", type=FILE, help="Configuration file (rig.toml); every key has a default."),
     "settings": _option("--set", multiple=True, type=SETTING, shell_complete=key_names, metavar="KEY=VALUE",
                         help="Override a key of the configuration, as in guard.brake_limit=0.7."),
@@ -254,8 +254,10 @@ def json_option(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def rig_settings(sampled: str | None) -> list[str]:
-    """`--rig` as settings."""
-    return [] if sampled is None else [f"simulation.rig={json.dumps(sampled)}"]
+    """`--rig` as settings. Raises ConfigError for a file of a population that cannot be used."""
+    from inteco_abs.population_file import rig_settings as settings_of
+
+    return [f"{key}={json.dumps(value)}" for key, value in settings_of(sampled, "--rig").items()]
 
 
 def write_csv(records: Iterable[Mapping[str, Any]], path: Path, columns: Sequence[str] = ()) -> None:

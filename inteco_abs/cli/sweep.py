@@ -71,7 +71,8 @@ def _part(_ctx: click.Context, _param: click.Parameter, text: str | None) -> tup
     default=("hard:0-99",),
     show_default=True,
     metavar="POPULATION:FIRST-LAST",
-    help="Simulated rigs: samples of nominal, hard, rough, late, slow or capped, by seed; may be repeated.",
+    help="Simulated rigs: samples of nominal, hard, rough, late, slow, capped or wild, or of a population in a .toml "
+    "file, by seed; may be repeated.",
 )
 @click.option(
     "--controller", multiple=True, shell_complete=controller_names, help="As for run; several by commas or repeated."
@@ -199,6 +200,8 @@ def _plan(
 
     controller, estimator, settings = chosen
     draws = [parse_draws(text) for text in dict.fromkeys(rigs)]
+    if len({(one.population, one.text) for one in draws}) > len({one.population for one in draws}):
+        raise ConfigError.of("--rigs", "two different populations have the same name; rename one of the files")
     with redirect_stdout(sys.stderr):  # a controller's prints must not mix with the result
         controllers, sources = _controllers(controller)
     names = [f"controller.name={name}" for name in controller] + [f"estimator.name={name}" for name in estimator]

@@ -330,7 +330,9 @@ class SimulationConfig(Section):
     """The rig inside the mock board; not used on a real one."""
 
     rig: str = ""
-    """A drawn virtual rig by population and seed, as "hard:17"; empty: the published one, as the next two keys say."""
+    """A drawn virtual rig by population and seed, as "hard:17"; empty: the published one, as the keys below say."""
+    population: str = ""
+    """Text of that population, in TOML, where it is not a shipped one; `--rig my-lab.toml:17` fills in both."""
     parameters: Literal["mask", "table"] = "mask"
     """Published set of the simulated rig."""
     brake_rate_per_s: Annotated[float, Interval(ge=1.0, le=1e6)] = 20.37

@@ -29,7 +29,7 @@ def simulated_rig(config: RigConfig, wheel_edge: float = 0.0, road_edge: float =
         if mistakes:
             raise ConfigError(mistakes)
         population, _, seed = simulation.rig.partition(":")
-        return draw(population, int(seed))
+        return draw(simulation.population or population, int(seed))
     counts = simulation.counts_per_turn or config.encoders.counts_per_turn
     return RigVariation(
         replace(RigParameters.named(simulation.parameters), c31=simulation.brake_rate_per_s),
@@ -55,7 +55,14 @@ def rig_check(table: Mapping[str, Any]) -> Iterator[ConfigIssue]:
         return
     shown = reprlib.repr(name)  # however long it is
     population, _, seed = name.partition(":")
-    if population not in POPULATIONS:
+    text = simulation.get("population", "")
+    if isinstance(text, str) and text:
+        try:
+            draw(text, 0)
+        except ValueError as error:
+            yield ConfigIssue("simulation.population", str(error))
+            return
+    elif population not in POPULATIONS:
         known = f"no population {reprlib.repr(population)}{near_match(population, POPULATIONS)}"
         yield ConfigIssue("simulation.rig", f"{shown}: must be population and seed, as in hard:17; {known}")
         return
@@ -67,7 +74,7 @@ def rig_check(table: Mapping[str, Any]) -> Iterator[ConfigIssue]:
         default = defaults(SimulationConfig)[key]
         if simulation.get(key, default) != default:
             yield ConfigIssue(f"simulation.{key}", f"{simulation[key]!r}: {name} has its own; leave one of them out")
-    yield from _counts_mistakes(table, name, draw(population, int(seed)).road_encoder.counts_per_turn)
+    yield from _counts_mistakes(table, name, draw(text or population, int(seed)).road_encoder.counts_per_turn)
 
 
 def _counts_mistakes(table: Mapping[str, Any], name: str, counts: int) -> Iterator[ConfigIssue]:

@@ -1,6 +1,7 @@
 """The oracle: the predictive controller with full knowledge of its rig, as a bound on performance.
 
 It knows the rig's parameters and true state at every sample, but not the future; the brake has its dead time and lag.
+It takes the brake for cold, without hysteresis and with one lag, and the road for one with a single step.
 """
 
 from __future__ import annotations
@@ -59,7 +60,10 @@ class _Informed(PredictiveReaching):
             return 0.0
         own = torque / rig.brake_gain
         mapped = measured_duty(own) if rig.brake_map == "measured" else brake_duty(own, rig.parameters)
-        return min(max(mapped + rig.brake_duty_offset, 0.0), 1.0)
+        duty, sag = max(mapped + rig.brake_duty_offset, 0.0), rig.supply_sag
+        if sag > 0.0:  # the terminals get duty - sag * duty**2
+            duty = (1.0 - math.sqrt(max(0.0, 1.0 - 4.0 * sag * duty))) / (2.0 * sag)
+        return min(duty, 1.0)
 
 
 class _OracleEstimator:

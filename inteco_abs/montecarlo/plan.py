@@ -75,11 +75,17 @@ class SweepPlan:
 
     def experiment(self, unit: Unit) -> tuple[SampleSet, Experiment]:
         """The unit's draws, and their stops."""
-        draws = SampleSet(unit.population, unit.first, unit.first + unit.draws - 1)
+        text = self.populations.get(unit.population, "")
+        draws = SampleSet(unit.population, unit.first, unit.first + unit.draws - 1, text)
         config = self.grid[unit.combination].config
         maker = ConfiguredPolicy(config, source=self.sources.get(config.controller.name, b""))
         start = max(0.0, config.experiment.start_speed_rad_s - RUN_UP_RAD_S) if self.run_up else None
         return draws, Experiment(draws.rigs, config, maker, start)
+
+    @cached_property
+    def populations(self) -> dict[str, str]:
+        """Text of each population that is not shipped, by its name."""
+        return {draws.population: draws.text for draws in self.draws if draws.text}
 
     @cached_property
     def description(self) -> dict[str, Any]:
@@ -89,6 +95,7 @@ class SweepPlan:
             "packages": _packages(tuple({one.config.controller.name: None for one in self.grid})),
             "controllers": {name: source.decode("utf-8", "surrogateescape") for name, source in self.sources.items()},
             "draws": [draws.name for draws in self.draws],
+            "populations": self.populations,
             "run_up": self.run_up,
             "grid": [{"varied": dict(one.varied), "config": one.config.to_toml()} for one in self.grid],
         }
@@ -116,7 +123,9 @@ class SweepPlan:
                 raise mistake("has been changed since it was written; begin a new folder")
             grid = [Combination(trusted_config(one["config"]), one["varied"]) for one in sweep["grid"]]
             sources = {name: one.encode("utf-8", "surrogateescape") for name, one in sweep["controllers"].items()}
-            plan = SweepPlan(grid, [parse_draws(one) for one in sweep["draws"]], sources, sweep["run_up"])
+            plan = SweepPlan(
+                grid, [parse_draws(one, sweep["populations"]) for one in sweep["draws"]], sources, sweep["run_up"]
+            )
             program, packages = sweep["program"], sweep["packages"]
         except (ValueError, LookupError, TypeError, AttributeError) as error:
             raise mistake("is not the description of a sweep") from error

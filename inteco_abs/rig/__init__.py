@@ -10,7 +10,7 @@ from inteco_abs.rig.model import Motion, accelerations, kinetic_energy, wheel_sl
 from inteco_abs.rig.nominal import nominal_brake_map, nominal_drive_motor, nominal_parameters
 from inteco_abs.rig.parameters import RigParameters
 from inteco_abs.rig.plant import Plant
-from inteco_abs.rig.population import LONGEST_BRAKING_S, POPULATIONS, draw
+from inteco_abs.rig.population import LONGEST_BRAKING_S, POPULATIONS, draw, is_described
 from inteco_abs.rig.rng import WORD, mixed
 from inteco_abs.rig.torque_margin import holding_torque, torque_margin
 from inteco_abs.rig.variation import (
@@ -49,6 +49,7 @@ __all__ = [
     "brake_torque",
     "draw",
     "holding_torque",
+    "is_described",
     "kinetic_energy",
     "measured_adhesion",
     "measured_adhesion_slope",

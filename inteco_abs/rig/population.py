@@ -1,4 +1,4 @@
-"""Named populations of virtual rigs, each draw reproducible from its seed.
+"""Populations of virtual rigs, shipped or described in TOML, each draw reproducible from its seed.
 
 nominal  what the paper assumes: the published rig with a brake without lag, ideal encoders of 2048 counts
 hard     a realistic rig. Within 5 %: J1, J2, Mg and the gain of the brake's measured map, which is off by up to
@@ -10,6 +10,9 @@ rough    hard, and the normal force ripples by 0..3 % once per turn of the wheel
 late     rough with that step in all draws and 0.7..1 s after braking began, when 1/speed has made the slip quick
 slow     hard, with 20 ms of dead time
 capped   hard, with the duty capped at 0.7 as by the vendor's driver, which leaves some rigs too little torque
+wild     all that is not known of real rigs, in ranges which docs/populations.md argues: lags to 0.1 s, dead times to
+         50 ms, unequal release, hysteresis, fade, a supply that sags, tyres of other radii, worse discs, lost counts,
+         latching jitter, up to three steps of the road
 
 One seed is one rig: `hard`, `slow`, `capped` and `rough` of a seed differ only in what is named here, so populations
 can be compared draw by draw.
@@ -18,16 +21,62 @@ can be compared draw by draw.
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Final
+from functools import cache
+from typing import Any, Final
 
 from inteco_abs.rig.parameters import RigParameters
+from inteco_abs.rig.population_rules import follow, parse_rules
 from inteco_abs.rig.rng import SplitMix64, mixed
 from inteco_abs.rig.variation import EncoderVariation, RigVariation
 
 _TURN: Final = 2.0 * math.pi
 _COUNTS: Final = 2048
+PUBLISHED: Final = "published"
+"""Base of a population: the published rig with ideal encoders of 2048 counts, and a tick of delay."""
+WILD: Final = """\
+base = "hard"
+
+[rig]
+adhesion_scale = [0.7, 1.2]
+adhesion_tilt = [-0.3, 0.3]
+load_ripple = [0.0, 0.03]
+load_ripple_phase_rad = [0.0, 6.283185307179586]
+grip_step = { range = [-0.3, 0.3], share = 0.5 }
+grip_step_after_s = [0.05, 0.6]
+second_grip_step = [-0.3, 0.3]
+second_grip_step_after_s = { range = [0.6, 1.2], share = 0.5 }
+third_grip_step = [-0.3, 0.3]
+third_grip_step_after_s = { range = [1.2, 1.6], share = 0.25 }
+brake_lag_s = [0.0, 0.1]
+brake_dead_time_s = [0.0, 0.05]
+brake_release_ratio = [0.5, 3.0]
+brake_hysteresis_nm = { range = [0.0, 0.3], share = 0.5 }
+brake_fade_per_kj = [0.0, 0.8]
+brake_gain = [0.9, 1.1]
+brake_duty_offset = [-0.03, 0.03]
+supply_sag = [0.0, 0.05]
+wheel_wear_per_kj = [0.0, 0.002]
+drive_residual_nm = { range = [0.0, 0.05], share = 0.3 }
+latch_jitter_s = [0.0, 0.000125]
+
+[parameters]
+r1 = { factor = [0.96, 1.04] }
+r2 = { factor = [0.99, 1.01] }
+J1 = { factor = [0.9, 1.1] }
+J2 = { factor = [0.9, 1.1] }
+
+[encoders]
+eccentricity_counts = [0.0, 2.0]
+second_harmonic_counts = [0.0, 0.5]
+second_harmonic_phase_rad = [0.0, 6.283185307179586]
+damaged_counts = { range = [1.0, 4.0], share = 0.1 }
+damage_angle_rad = [0.0, 6.283185307179586]
+lost_share = { range = [0.0, 0.0005], share = 0.2 }
+jitter_counts = [0.0, 0.6]
+"""
 LONGEST_BRAKING_S: Final = 4.0
 """No rig of any population that is braked at all takes half as long."""
 
@@ -35,13 +84,41 @@ LONGEST_BRAKING_S: Final = 4.0
 def draw(population: str, seed: int) -> RigVariation:
     """Rig number `seed` (0..2^64-1) of a population, by SplitMix64; raises ValueError for any other.
 
-    Every number is evenly spread over its range and independent of the others.
+    The population is shipped, by its name, or is the text of one in TOML. Every number is evenly spread over its range
+    and independent of the others.
     """
-    try:
-        make = _MAKERS[population]
-    except KeyError:
-        raise ValueError(f"population {population!r}: must be one of {', '.join(_MAKERS)}") from None
-    return make(seed)
+    return _maker(population)(seed)
+
+
+def is_described(population: str) -> bool:
+    """Whether this is the text of a population, not a name."""
+    return "\n" in population or "=" in population
+
+
+@cache
+def _maker(population: str) -> Callable[[int], RigVariation]:
+    if is_described(population):
+        return _described(tomllib.loads(population))
+    if population not in _MAKERS:
+        raise ValueError(f"population {population!r}: must be one of {', '.join(_MAKERS)}")
+    return _MAKERS[population]
+
+
+def _described(tables: dict[str, Any]) -> Callable[[int], RigVariation]:
+    """A base and the rules that change it; raises ValueError, which names the key."""
+    base = tables.pop("base", PUBLISHED)
+    if base != PUBLISHED and base not in _MAKERS:
+        raise ValueError(f"base = {base!r}: must be one of {', '.join((PUBLISHED, *_MAKERS))}")
+    make = _published if base == PUBLISHED else _MAKERS[base]
+    rules = parse_rules(tables, make(0))
+
+    return lambda seed: follow(rules, make(seed), seed)
+
+
+def _published(seed: int) -> RigVariation:
+    _generator(seed)  # checks the seed, which decides the rules alone
+    disc = EncoderVariation(_COUNTS)
+    return RigVariation(wheel_encoder=disc, road_encoder=disc, command_delay_ticks=1, seed=seed)
 
 
 def _nominal(seed: int) -> RigVariation:
@@ -136,5 +213,6 @@ _MAKERS: Final[dict[str, Callable[[int], RigVariation]]] = {
     "slow": _slow,
     "capped": _capped,
 }
+_MAKERS["wild"] = _described(tomllib.loads(WILD))
 POPULATIONS: Final = tuple(_MAKERS)
 """Names of the populations."""

@@ -1,3 +1,4 @@
+import json
 import math
 from dataclasses import replace
 
@@ -6,9 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.rtdac_usb2 import decode_read
-from inteco_abs.config import load_config
+from inteco_abs.config import load_config, parse_config
 from inteco_abs.errors import ConfigError
-from inteco_abs.mock_board import Cable, Device, drawn_facts, rig_check
+from inteco_abs.mock_board import Cable, Device, drawn_facts, rig_check, simulated_rig
+from inteco_abs.population_file import rig_settings
 from inteco_abs.rig import POPULATIONS, Encoder, EncoderVariation, Plant, draw, settled_torque
 
 RIG = "simulation.rig=hard:17"
@@ -150,7 +152,7 @@ def test_every_population_passes_the_check_with_every_seed(population):
     ("name", "words"),
     [
         ("hrd:17", ["'hrd:17'", "'hrd'", "did you mean hard?"]),
-        ("17", ["'17'", "hard:17", "capped, hard, late, nominal, rough, slow"]),
+        ("17", ["'17'", "hard:17", "capped, hard, late, nominal, rough, slow, wild"]),
         (":17", ["':17'", "hard:17"]),
         ("hard", ["'hard'", "seed", "hard:17"]),
         ("slow:", ["seed", "slow:17"]),
@@ -166,6 +168,22 @@ def test_an_unknown_rig_is_refused_with_an_explanation(name, words):
     problem = mistakes(f'simulation.rig="{name}"')["simulation.rig"]
     assert all(word in problem for word in words)
     assert len(problem) < 300
+
+
+def test_a_rig_of_a_file_is_drawn_from_the_text_in_the_configuration(tmp_path):
+    file = tmp_path / "lab.toml"
+    file.write_text('base = "hard"\n[rig]\nsupply_sag = 0.1\n')
+    settings = [f"{key}={json.dumps(value)}" for key, value in rig_settings(f"{file}:17", "--rig").items()]
+    file.unlink()
+    config = load_config(settings=settings, checks=[rig_check])
+    assert config.simulation.rig == "lab:17"
+    assert simulated_rig(parse_config(config.to_toml())) == replace(draw("hard", 17), supply_sag=0.1)
+    assert drawn_facts(config)["supply_sag"] == "0.1"
+
+
+def test_a_text_that_describes_no_population_is_a_mistake_of_its_key():
+    found = mistakes(RIG, 'simulation.population="[rig]\\nsupply_sag = 3"')
+    assert found == {"simulation.population": "rig.supply_sag: supply_sag = 3: must be in 0..0.5"}
 
 
 def test_a_value_that_is_not_text_is_left_to_the_configuration():

@@ -65,7 +65,7 @@ def test_capped_rigs_that_cannot_hold_the_slip_are_left_out():
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("hrad:0-9", "no population 'hrad'; did you mean hard?"),
+        ("hrad:0-9", "no population 'hrad'; did you mean hard?, or a file as my-lab.toml"),
         ("hard:9-2", "hard:9-2: the range is reversed; write hard:2-9"),
         ("hard", "'hard': must look like hard:0-99, or hard:7 for one rig"),
         ("hard:-3", "'hard:-3': must look like hard:0-99, or hard:7 for one rig"),

@@ -240,6 +240,19 @@ def test_the_description_brings_back_grid_sources_and_ranges(begun):
     assert SweepPlan.from_json(source.to_json(), "sweep.json", "--work").sources == source.sources
 
 
+def test_a_population_of_a_file_is_braked_without_the_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("lab.toml").write_text('base = "hard"\n[rig]\nbrake_lag_s = [0, 0.1]\n')
+    plan = SweepPlan(GRID[:1], [parse_draws("lab.toml:3-5")], run_up=False)
+    Path("lab.toml").unlink()
+    folder = SweepFolder.make(tmp_path / "sweep", SweepPlan.from_json(plan.to_json(), "sweep.json", "--work"))
+    assert work(folder, InThisProcess()).stops == 3
+    rigs = [rig for unit in folder.plan.units() for rig in folder.plan.experiment(unit)[0].rigs]
+    assert [rig.seed for rig in rigs] == [3, 4, 5]
+    assert len({rig.parameters.c31 for rig in rigs}) == 3
+    assert {row.draws.name for row in folder.rows()} == {"lab:3-5"}
+
+
 def test_units_are_few_for_many_draws_and_are_made_one_by_one():
     plan = SweepPlan(GRID, [parse_draws("hard:0-99999999")])
     units = plan.units()

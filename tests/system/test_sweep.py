@@ -80,6 +80,7 @@ def test_stops_that_fail_are_reported_and_the_others_scored(inteco_abs, tmp_path
     ("arguments", "words"),
     [
         (["--rigs", "hard:0", "--rigs", "hrad:0-9"], ["--rigs", "did you mean hard"]),
+        (["--rigs", "none.toml:0-9"], ["--rigs", "none.toml: No such file"]),
         (["--rigs", "hard:9-0"], ["--rigs", "reversed", "hard:0-9"]),
         (["--controller", "pi,reachin-law"], ["did you mean reaching-law"]),
         (["--estimator", "kallman"], ["did you mean kalman"]),
