@@ -11,7 +11,7 @@ import numpy as np
 import tomli_w
 from scipy.stats import norm
 
-from inteco_abs.identification.fit import Fit, fit
+from inteco_abs.identification.fit import Fit, Progress, fit
 from inteco_abs.identification.parameters import ASSUMED, Priors, torque_name
 from inteco_abs.identification.segments import Segment, SegmentKind
 from inteco_abs.rig import DriveMotor, RigParameters, adhesion, measured_torque
@@ -142,11 +142,14 @@ class Identification:
 
 
 def identify(
-    segments: Sequence[Segment], base: RigParameters, assumed: Mapping[str, float] = ASSUMED
+    segments: Sequence[Segment],
+    base: RigParameters,
+    assumed: Mapping[str, float] = ASSUMED,
+    progress: Progress | None = None,
 ) -> Identification:
     """Identify the rig of `segments`; `base` is the prior, `assumed` the uncertainty of what is assumed, as shares."""
     levels = tuple(sorted({level for segment in segments for level in segment.levels}))
-    found = fit(segments, Priors(base, levels, {**ASSUMED, **assumed}))
+    found = fit(segments, Priors(base, levels, {**ASSUMED, **assumed}), progress)
     kinds = {segment.kind for segment in segments}
     return Identification(found, tuple(segments), tuple(_estimates(found, kinds)))
 
@@ -156,7 +159,7 @@ def _estimates(found: Fit, kinds: set[SegmentKind]) -> Iterator[ParameterEstimat
     priors, assumed = found.priors, {"J1", "J2", "Mg", "d1", "M10"}
     for derived in _all_derived(priors):
         slope = _slope(derived, found)
-        sd = math.sqrt(slope @ found.covariance @ slope)
+        sd = math.sqrt(slope @ found.total @ slope)
         before = math.sqrt(slope @ found.before @ slope)
         value = derived.of(found.values())
         kind, what = _NEEDED.get(derived.name, ("braking", "brake steps that reach it"))

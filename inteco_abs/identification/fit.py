@@ -3,43 +3,46 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
-from scipy.optimize import least_squares
+import numpy.typing as npt
 
-from inteco_abs.identification.parameters import ASSUMED, Priors, torque_name
+from inteco_abs.identification.parameters import FIXED, Priors, torque_name
 from inteco_abs.identification.segments import Floats, Segment
 from inteco_abs.identification.simulation import angles
 
 Wheel = Literal["wheel", "road"]
+Mask = npt.NDArray[np.bool_]
+Progress = Callable[[float, float], None]
+"""Called at each step with the noise that the round assumes, and the present rms residual, both in counts."""
 
-_ROUNDS: Final = ((300.0, 20), (30.0, 20), (5.0, 20), (1.0, 60))
-"""Standard deviation of a residual in counts, and most evaluations, of each round: the first rounds, far from the
-solution, weigh the counts less, and only the last must converge."""
-_TOLERANCE: Final = 1e-4
+_NOISES: Final = (300.0, 30.0, 5.0, 1.0)
+"""Standard deviation of a residual in counts in each round: far from the solution counts weigh less."""
+_NEAR: Final = 0.05
+"""Distance to the solution at which the last round ends, in standard deviations of the parameters."""
+_MOST_STEPS: Final = 50
+"""Steps of a round. The last one takes 5 to 15."""
+_HARDEST: Final = 1e10
+"""Damping beyond which no step lowers the sum of squares: its rounding errors are reached."""
 _SPEED_SD_RAD_S: Final = 5.0
 """Standard deviation of a segment's start speeds around those of its first counts."""
-_STEP: Final = 1e-5
-"""Step of the differences, for all parameters."""
-_EVERYWHERE: Final = ("J1", "Mg", "d1", "M10", "d", "M0", "a")
+_STEP: Final = 1e-4
+"""Step of the differences, for all parameters: counts are off by 1e-4 where another step is cut in the integration."""
+_EVERYWHERE: Final = ("J1", "Mg", "d1", "M10", "r1/r2", "d", "M0")
 _DEPENDS: Final[Mapping[str, tuple[str, ...]]] = {
-    "run-up": (*_EVERYWHERE, "stall", "no_load"),
-    "coast-down": _EVERYWHERE,
-    "braking": (*_EVERYWHERE, "w4", "w1/w4", "w2/w4", "w3/w4", "p", "lag", "dead_time"),
+    "run-up": (*_EVERYWHERE, "creep", "creep_p", "stall", "no_load"),
+    "coast-down": (*_EVERYWHERE, "creep", "creep_p"),
+    "braking": (*_EVERYWHERE, "w4", "w1/w4", "w2/w4", "w3/w4", "a", "p", "lag", "dead_time"),
 }
 """Parameters that affect each kind of segment, besides the brake's torques; the scale affects none."""
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One wheel's counts in one segment.
-
-    While the wheels roll, only the road's: the creep of the wheel depends on radii and contact more finely than they
-    are known.
-    """
+    """One wheel's counts in one segment."""
 
     segment: Segment
     wheel: Wheel
@@ -56,9 +59,9 @@ class Channel:
 def channels(segment: Segment) -> list[Channel]:
     """The channels of a segment that are compared with the model."""
     found = []
-    wheels: tuple[Wheel, ...] = ("wheel", "road") if segment.kind == "braking" else ("road",)
-    for wheel in wheels:
-        counts = (segment.wheel_count if wheel == "wheel" else segment.road_count)[segment.compared]
+    both: tuple[tuple[Wheel, Floats], ...] = (("wheel", segment.wheel_count), ("road", segment.road_count))
+    for wheel, count in both:
+        counts = count[segment.compared]
         angle = counts * (2.0 * math.pi / segment.counts_per_turn)
         basis, _ = np.linalg.qr(np.column_stack([np.ones_like(angle), np.cos(angle), np.sin(angle)]))
         found.append(Channel(segment, wheel, counts, basis))
@@ -72,18 +75,28 @@ class Fit:
     priors: Priors
     found: Floats
     covariance: Floats
+    """Without the uncertainty of what is assumed."""
+    moved: Floats
+    """Change of each parameter by one unit of each assumed one."""
     before: Floats
     """Covariance of the priors."""
     residuals: tuple[tuple[Channel, Floats], ...]
     """Measured minus simulated counts."""
     converged: bool
 
+    @property
+    def total(self) -> Floats:
+        """Covariance of the parameters, with that of what is assumed."""
+        count = self.moved.shape[1]
+        both: Floats = self.covariance + self.moved @ self.before[:count, :count] @ self.moved.T
+        return both
+
     def values(self) -> dict[str, float]:
         """Fit parameters by name."""
         return self.priors.values(self.found.tolist())
 
 
-def fit(segments: Sequence[Segment], priors: Priors) -> Fit:
+def fit(segments: Sequence[Segment], priors: Priors, progress: Progress | None = None) -> Fit:
     """Least squares of count residuals and deviations from the priors, each over its standard deviation.
 
     All counts have the same weight: weights by the residuals would fit what the model explains badly still worse. The
@@ -92,45 +105,66 @@ def fit(segments: Sequence[Segment], priors: Priors) -> Fit:
     Assumed parameters stay fixed; their uncertainty is added to the covariance of the others: with H = jacobian' *
     jacobian, a change of the assumed (a) changes the fitted (f) by S = -H_ff^-1 * H_fa.
     """
-    rolling = _Problem([each for each in segments if each.kind != "braking"], priors)
-    begun, _ = _searched(rolling, rolling.start)
-    problem = _Problem(segments, priors)
-    start, looked_for = problem.start, len(priors.fit_parameters) - len(ASSUMED)
-    start[:looked_for] = begun[:looked_for]
-    found, converged = _searched(problem, start)
-    jacobian, count = problem.slopes(found, assumed=True), len(priors.fit_parameters)
+    rolling = [each for each in segments if each.kind != "braking"]
+    problem, count = _Problem(rolling, priors), len(priors.fit_parameters)
+    found, converged = _searched(problem, problem.start, progress) if rolling else (problem.start, True)
+    if len(rolling) < len(segments):
+        begun, problem = found[:count], _Problem(segments, priors)
+        found, converged = _searched(problem, np.concatenate([begun, problem.start[count:]]), progress)
     free = problem.free
+    jacobian = problem.jacobian(found, np.ones_like(free))
     information = jacobian.T @ jacobian
     inverse = np.linalg.inv(information[np.ix_(free, free)])
     before = np.asarray(np.linalg.inv(priors.weights.T @ priors.weights), np.float64)
-    moved = np.eye(len(information))[:, : len(ASSUMED)]
+    moved = np.eye(len(information))[:, : len(FIXED)]
     moved[free] = -inverse @ information[np.ix_(free, ~free)]
-    covariance = np.asarray(moved @ before[: len(ASSUMED), : len(ASSUMED)] @ moved.T, np.float64)
-    whole = problem.whole(found)
     residuals = tuple(problem.count_residuals(found))
     real = [np.full(len(each), _effective_deviation(each) / problem.noise) for _, each in residuals]
-    scattered = jacobian[:, free] * np.concatenate([*real, np.ones(len(whole))])[:, None]
+    scattered = jacobian[:, free] * np.concatenate([*real, np.ones(len(found))])[:, None]
     pulls = _pulls(residuals, jacobian[:, free], problem.noise)
-    covariance[np.ix_(free, free)] += inverse @ (scattered.T @ scattered + pulls.T @ pulls) @ inverse
-    return Fit(priors, whole[:count], covariance[:count, :count], before, residuals, converged)
+    covariance = np.zeros_like(information)
+    covariance[np.ix_(free, free)] = inverse @ (scattered.T @ scattered + pulls.T @ pulls) @ inverse
+    return Fit(priors, found[:count], covariance[:count, :count], moved[:count], before, residuals, converged)
 
 
-def _searched(problem: _Problem, start: Floats) -> tuple[Floats, bool]:
-    """The best parameters from `start`, and whether the search converged."""
+def _searched(problem: _Problem, start: Floats, progress: Progress | None) -> tuple[Floats, bool]:
+    """The best values of the parameters from `start`, and whether the search converged."""
     found, converged = start, False
-    for problem.noise, evaluations in _ROUNDS:
-        outcome = least_squares(
-            problem.residuals,
-            found,
-            problem.jacobian,
-            method="lm",
-            x_scale="jac",
-            ftol=_TOLERANCE,
-            xtol=1e-12,
-            max_nfev=evaluations,
-        )
-        found, converged = outcome.x, bool(outcome.success)
+    for problem.noise in _NOISES:
+        found, converged = _round(problem, found, progress)
     return found, converged
+
+
+def _round(problem: _Problem, found: Floats, progress: Progress | None) -> tuple[Floats, bool]:
+    """Steps of Levenberg and Marquardt, until the next one of Newton is short.
+
+    Its length is measured in the metric of the parameters' covariance, where it is the distance in standard
+    deviations: no parameter, and no combination of some, would change by more. The fall of the sum of squares says
+    less: it is small in a long flat valley, too. A round that is not the last ends at the noise it assumes.
+    """
+    free = problem.free
+    residuals, damping = problem.residuals(found), 1e-3
+    for _ in range(_MOST_STEPS):
+        if progress is not None:
+            progress(problem.noise, math.sqrt(residuals @ residuals / len(residuals)) * problem.noise)
+        jacobian = problem.jacobian(found, free)[:, free]
+        gradient, information = jacobian.T @ residuals, jacobian.T @ jacobian
+        size = np.sqrt(np.diag(information))
+        scaled, slope = information / np.outer(size, size), gradient / size
+        variance = residuals @ residuals / len(residuals)
+        if slope @ np.linalg.solve(scaled, slope) < (_NEAR * _NEAR * variance if problem.noise == _NOISES[-1] else 1.0):
+            return found, True
+        while True:
+            trial = found.copy()
+            trial[free] -= np.linalg.solve(scaled + damping * np.eye(len(size)), slope) / size
+            nearer = problem.residuals(trial)
+            if nearer @ nearer < residuals @ residuals:
+                break
+            damping *= 10.0
+            if damping > _HARDEST:
+                return found, False
+        found, residuals, damping = trial, nearer, damping / 10.0
+    return found, False
 
 
 class _Problem:
@@ -138,49 +172,38 @@ class _Problem:
 
     def __init__(self, segments: Sequence[Segment], priors: Priors) -> None:
         self._priors = priors
-        self.noise = _ROUNDS[0][0]
+        self.noise = _NOISES[0]
         """Standard deviation of a residual in counts."""
         self._segments = [(each, channels(each)) for each in segments]
         started = [each.start_speeds() for each, _ in self._segments if each.kind != "run-up"]
         speeds = [speed for pair in started for speed in pair]
         self._places = {each.name: place for place, each in enumerate(priors.fit_parameters)}
-        self._prior = np.array([each.start for each in priors.fit_parameters] + speeds)
-        self.free = np.arange(len(self._prior)) >= len(ASSUMED)
+        self.start = np.array([each.start for each in priors.fit_parameters] + speeds)
+        self.free = np.arange(len(self.start)) >= len(FIXED)
         """Mask of the parameters that are not assumed."""
-        self.start = self._prior[self.free]
         count = len(priors.fit_parameters)
-        self._weights = np.eye(len(self._prior)) / _SPEED_SD_RAD_S
+        self._weights = np.eye(len(self.start)) / _SPEED_SD_RAD_S
         self._weights[:count, :count] = priors.weights
 
-    def whole(self, found: Floats) -> Floats:
-        """All parameters: the assumed ones, then `found`."""
-        return np.concatenate([self._prior[~self.free], found])
-
-    def residuals(self, found: Floats) -> Floats:
+    def residuals(self, x: Floats) -> Floats:
         """Normalised residuals of counts and priors."""
-        parts = [residual / self.noise for _, residual in self.count_residuals(found)]
-        return np.concatenate([*parts, self._weights @ (self.whole(found) - self._prior)])
+        parts = [residual / self.noise for _, residual in self.count_residuals(x)]
+        return np.concatenate([*parts, self._weights @ (x - self.start)])
 
-    def count_residuals(self, found: Floats) -> list[tuple[Channel, Floats]]:
+    def count_residuals(self, x: Floats) -> list[tuple[Channel, Floats]]:
         """Measured minus simulated counts by channel."""
-        x = self.whole(found)
         parts = []
         for segment, its_channels, own in self._each():
             simulated = self._simulated(segment, x[None, :], own)
             parts += [(each, each.free(each.counts - simulated[each.wheel])[0]) for each in its_channels]
         return parts
 
-    def jacobian(self, found: Floats) -> Floats:
-        """Slopes of `residuals`."""
-        return self.slopes(found, assumed=False)[:, self.free]
-
-    def slopes(self, found: Floats, *, assumed: bool) -> Floats:
-        """Slopes by forward differences, in one batch for each segment; by assumed parameters only if `assumed`."""
-        x = self.whole(found)
+    def jacobian(self, x: Floats, free: Mask) -> Floats:
+        """Slopes of `residuals` by the free parameters; forward differences, in one batch for each segment."""
         blocks = []
         for segment, its_channels, own in self._each():
             names = [*_DEPENDS[segment.kind], *map(torque_name, segment.levels)]
-            places = [self._places[name] for name in names if assumed or name not in ASSUMED] + list(own)
+            places = [place for place in (*(self._places[name] for name in names), *own) if free[place]]
             rows = np.repeat(x[None, :], len(places) + 1, axis=0)
             rows[np.arange(1, len(rows)), places] += _STEP
             simulated = self._simulated(segment, rows, own)

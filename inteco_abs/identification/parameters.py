@@ -24,6 +24,8 @@ Floats = npt.NDArray[np.float64]
 ASSUMED: Final[Mapping[str, float]] = {"J1": 0.05, "J2": 0.05, "Mg": 0.05, "d1": 0.2, "M10": 0.6}
 """Assumed parameters, and their uncertainty in both directions as a share. M10: the manual's table 3 has 0.0022 to
 0.0050 N m for one rig; the others as in the population `hard`."""
+FIXED: Final = ("scale", "J1", "Mg")
+"""Parameters of which counts say nothing: the search leaves them at their priors. They are the first ones."""
 FULL_NM: Final = 20.0
 """More than any brake of this rig gives; the plant gets torques as shares of it."""
 _UNIFORM: Final = math.sqrt(3.0)
@@ -73,10 +75,13 @@ class Priors:
             FitParameter("Mg", k.Mg, 1.0),
             FitParameter("d1", k.d1, self.assumed["d1"] / _UNIFORM),
             FitParameter("M10", k.M10, self.assumed["M10"] / _UNIFORM),
+            FitParameter("r1/r2", k.r1 / k.r2, _RADII),
             FitParameter("d", k.d2 + share * k.d1, 1.0),
             FitParameter("M0", k.M20 + k.r2 / k.r1 * k.M10, 1.0),
             FitParameter("stall", motor.stall_torque_nm, 1.0),
             FitParameter("no_load", motor.no_load_speed_rad_s, 1.0),
+            FitParameter("creep", k.a, 0.5),
+            FitParameter("creep_p", k.p, 0.1),
             FitParameter("w4", k.w4, 0.3),
             FitParameter("w1/w4", k.w1 / k.w4, 0.5, log=False),
             FitParameter("w2/w4", k.w2 / k.w4, 0.5, log=False),
@@ -110,7 +115,7 @@ class Priors:
 
     @property
     def rolling_share(self) -> float:
-        """Weight of the wheel's inertia and viscous friction in those of both wheels as they roll."""
+        """Weight of the wheel's inertia and viscous friction in those of both wheels as they roll, at the prior."""
         return (self.base.r2 / self.base.r1) ** 2
 
     def values(self, coordinates: Iterable[float]) -> dict[str, float]:
@@ -119,16 +124,18 @@ class Priors:
 
     def parameters(self, values: Mapping[str, float], *, scaled: bool = True) -> RigParameters:
         """The rig's constants, with the prior's scale unless `scaled`; the brake map is that of `base`."""
-        k, share, scale = self.base, self.rolling_share, values["scale"] if scaled else 1.0
+        k, scale, ratio = self.base, values["scale"] if scaled else 1.0, values["r1/r2"]
+        share = 1.0 / (ratio * ratio)
         J1, d1, M10, w4 = values["J1"], values["d1"], values["M10"], values["w4"]
         return replace(
             k,
+            r1=ratio * k.r2,
             J1=scale * J1,
-            J2=scale * max(k.J2 + share * (k.J1 - J1), _LEAST * k.J2),
+            J2=scale * max(k.J2 + self.rolling_share * k.J1 - share * J1, _LEAST * k.J2),
             d1=scale * d1,
             d2=scale * max(values["d"] - share * d1, _LEAST * k.d2),
             M10=scale * M10,
-            M20=scale * max(values["M0"] - k.r2 / k.r1 * M10, _LEAST * k.M20),
+            M20=scale * max(values["M0"] - M10 / ratio, _LEAST * k.M20),
             Mg=scale * values["Mg"],
             w1=values["w1/w4"] * w4,
             w2=values["w2/w4"] * w4,
@@ -139,12 +146,21 @@ class Priors:
             c31=1.0 / max(values["lag"], _SHORTEST_LAG_S),
         )
 
-    def variation(self, values: Mapping[str, float]) -> RigVariation:
-        """The simulated rig, with the prior's scale; its duty is a torque as a share of FULL_NM."""
-        parameters = replace(self.parameters(values, scaled=False), b1=FULL_NM, b2=0.0, u0=0.0)
-        return RigVariation(parameters, brake_dead_time_s=min(max(values["dead_time"], 0.0), _LONGEST_DEAD_TIME_S))
+    def variation(self, values: Mapping[str, float], *, rolling: bool) -> RigVariation:
+        """The simulated rig, with the prior's scale; its duty is a torque as a share of FULL_NM.
+
+        With `rolling` its contact is that of wheels that roll: their creep, slip of less than 0.01, must not bend the
+        friction curve of braking, nor that curve the ratio of the radii, which follows from creep.
+        """
+        k = replace(self.parameters(values, scaled=False), b1=FULL_NM, b2=0.0, u0=0.0)
+        if rolling:
+            base = self.base
+            k = replace(k, w1=base.w1, w2=base.w2, w3=base.w3, w4=base.w4, a=values["creep"], p=values["creep_p"])
+        return RigVariation(k, brake_dead_time_s=min(max(values["dead_time"], 0.0), _LONGEST_DEAD_TIME_S))
 
 
+_RADII: Final = 0.03
+"""Standard deviation of the radii's ratio; the vendor's toolbox has a wheel 4 % smaller."""
 _LEAST: Final = 0.01
 """Least share of its prior for a parameter that is the difference of others."""
 _LONGEST_DEAD_TIME_S: Final = 0.2

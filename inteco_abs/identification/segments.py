@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final, Literal
 
 import numpy as np
@@ -18,13 +19,13 @@ SegmentKind = Literal["run-up", "coast-down", "braking"]
 SAMPLE_S: Final[dict[SegmentKind, float]] = {"run-up": 0.020, "coast-down": 0.050, "braking": 0.004}
 """Time between two samples that are compared with the model; more samples would not help."""
 _SPEED_WINDOW_S: Final = 0.020
-_SLOWEST_RAD_S: Final[dict[SegmentKind, float]] = {"run-up": 0.0, "coast-down": 1.0, "braking": 3.0}
+_SLOWEST_RAD_S: Final[dict[SegmentKind, float]] = {"run-up": 0.0, "coast-down": 3.0, "braking": 3.0}
 """Road speed at which a segment ends; below, slip has no meaning and counts are too few."""
 _FEWEST_SAMPLES: Final = 50
 _MOST_RUN_UPS: Final = 2
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Segment:
     """One part of a session: samples, and the duties in force from each sample."""
 
@@ -40,7 +41,7 @@ class Segment:
     compared: npt.NDArray[np.bool_]
     """Samples that are compared with the model; at the others a duty changes."""
 
-    @property
+    @cached_property
     def levels(self) -> tuple[float, ...]:
         """Brake duties above 0."""
         return tuple(sorted({round(float(duty), 4) for duty in self.brake if duty > 0.0}))

@@ -1,16 +1,19 @@
-"""Simulates the counts of a segment for several sets of parameters at once."""
+"""Simulates the counts of a segment for several sets of parameters, in machine code."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from inteco_abs.identification.parameters import FULL_NM, Priors, torque_name
 from inteco_abs.identification.segments import Floats, Segment, SegmentKind
-from inteco_abs.montecarlo import BatchPlant
+from inteco_abs.machine_code import compiled
+from inteco_abs.montecarlo.arrays import rig_rows, state_rows
 from inteco_abs.rig import DriveMotor
+from inteco_abs.rig.plant import move_on
+from inteco_abs.rig.state import Constants
 
 _STEP_S: Final[dict[SegmentKind, float]] = {"run-up": 0.005, "coast-down": 0.005, "braking": 0.001}
 """Step of the integration."""
@@ -23,24 +26,51 @@ def angles(
 
     `speeds` are those of wheel and road at the first sample, rad/s, a pair for each set.
     """
-    wheel_speed, road_speed = np.array(speeds, float).T
-    plant = BatchPlant(
-        [priors.variation(values) for values in sets],
-        road_speed,
-        wheel_speed,
-        [DriveMotor(values["stall"], values["no_load"]) for values in sets],
-        max_step_s=_STEP_S[segment.kind],
+    motors = [DriveMotor(values["stall"], values["no_load"]) for values in sets]
+    rolling, step_s = segment.kind != "braking", _STEP_S[segment.kind]
+    constants = [
+        Constants.of(priors.variation(values, rolling=rolling), motor, step_s)
+        for values, motor in zip(sets, motors, strict=True)
+    ]
+    levels = (0.0, *segment.levels)
+    duties = [[0.0, *(values[torque_name(level)] for level in segment.levels)] for values in sets]
+    changes = int(np.count_nonzero(np.diff(segment.brake))) + 2
+    due_s, torques = np.zeros((2, 1 << changes.bit_length()))  # a ring that no command can fill
+    found = np.empty((2, len(sets), int(segment.compared.sum())))
+    _trace(
+        rig_rows(constants),
+        state_rows(constants, *np.array(speeds, float).T),
+        due_s,
+        torques,
+        np.array(duties).clip(0.0, FULL_NM) / FULL_NM,
+        np.searchsorted(levels, segment.brake - 1e-9),
+        segment.drive,
+        np.diff(segment.time_s, append=segment.time_s[-1]),
+        segment.compared,
+        *found,
     )
-    levels = {0.0: np.zeros(len(sets))}
-    for duty in segment.levels:
-        levels[duty] = np.array([values[torque_name(duty)] for values in sets]).clip(0.0, FULL_NM) / FULL_NM
-    brakes = [levels[round(duty, 4)] for duty in segment.brake.tolist()]
-    found = np.empty((2, int(segment.compared.sum()), len(sets)))
-    durations, place = np.diff(segment.time_s, append=segment.time_s[-1]).tolist(), 0
-    ticks = zip(segment.compared.tolist(), segment.drive.tolist(), brakes, durations, strict=True)
-    for compared, drive, brake, duration_s in ticks:
-        if compared:
-            found[0, place], found[1, place] = plant.wheel_angle, plant.road_angle
-            place += 1
-        plant.advance(drive, brake, duration_s)
-    return found[0].T, found[1].T
+    return found[0], found[1]
+
+
+@compiled
+def _trace(
+    rigs: Any,
+    states: Any,
+    due_s: Floats,
+    torques: Floats,
+    duties: Floats,
+    level: Any,
+    drive: Floats,
+    duration_s: Floats,
+    compared: Any,
+    wheel: Floats,
+    road: Floats,
+) -> None:
+    """Write each rig's angles at the compared samples; `duties` are its own at each of the segment's levels."""
+    for i in range(rigs.size):
+        k, s, place = rigs[i], states[i], 0
+        for tick in range(drive.size):
+            if compared[tick]:
+                wheel[i, place], road[i, place] = s.wheel_angle, s.road_angle
+                place += 1
+            move_on(k, s, due_s, torques, drive[tick], duties[i, level[tick]], duration_s[tick])
