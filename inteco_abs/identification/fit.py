@@ -29,6 +29,9 @@ _HARDEST: Final = 1e10
 """Damping beyond which no step lowers the sum of squares: its rounding errors are reached."""
 _SPEED_SD_RAD_S: Final = 5.0
 """Standard deviation of a segment's start speeds around those of its first counts."""
+_SPEEDS: Final[Mapping[str, int]] = {"run-up": 0, "coast-down": 1, "braking": 2}
+"""Free start speeds of a segment: at rest none, rolling the road's, else both. The creep of wheels that roll settles
+within milliseconds, so its start is not observed."""
 _STEP: Final = 1e-4
 """Step of the differences, for all parameters: counts are off by 1e-4 where another step is cut in the integration."""
 _EVERYWHERE: Final = ("J1", "Mg", "d1", "M10", "r1/r2", "d", "M0")
@@ -175,8 +178,7 @@ class _Problem:
         self.noise = _NOISES[0]
         """Standard deviation of a residual in counts."""
         self._segments = [(each, channels(each)) for each in segments]
-        started = [each.start_speeds() for each, _ in self._segments if each.kind != "run-up"]
-        speeds = [speed for pair in started for speed in pair]
+        speeds = [speed for each, _ in self._segments for speed in each.start_speeds()[2 - _SPEEDS[each.kind] :]]
         self._places = {each.name: place for place, each in enumerate(priors.fit_parameters)}
         self.start = np.array([each.start for each in priors.fit_parameters] + speeds)
         self.free = np.arange(len(self.start)) >= len(FIXED)
@@ -218,15 +220,20 @@ class _Problem:
         """Segments, their channels, and the places of their start speeds, if any."""
         place = len(self._priors.fit_parameters)
         for segment, its_channels in self._segments:
-            own = () if segment.kind == "run-up" else (place, place + 1)
-            place += len(own)
-            yield segment, its_channels, own
+            following = place + _SPEEDS[segment.kind]
+            yield segment, its_channels, tuple(range(place, following))
+            place = following
 
     def _simulated(self, segment: Segment, rows: Floats, own: tuple[int, ...]) -> dict[Wheel, Floats]:
         """Counts, a row for each of `rows`."""
         listed = rows.tolist()
-        speeds = [(row[own[0]], row[own[1]]) if own else (0.0, 0.0) for row in listed]
-        wheel, road = angles(segment, self._priors, [self._priors.values(row) for row in listed], speeds)
+        sets = [self._priors.values(row) for row in listed]
+        roads = [row[own[-1]] if own else 0.0 for row in listed]
+        if segment.kind == "braking":
+            wheels = [row[own[0]] for row in listed]
+        else:
+            wheels = [speed / values["r1/r2"] for speed, values in zip(roads, sets, strict=True)]
+        wheel, road = angles(segment, self._priors, sets, list(zip(wheels, roads, strict=True)))
         per_rad = segment.counts_per_turn / (2.0 * math.pi)
         return {"wheel": wheel * per_rad, "road": road * per_rad}
 
