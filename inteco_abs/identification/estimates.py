@@ -32,6 +32,9 @@ _NEEDED: Final[Mapping[str, tuple[SegmentKind, str]]] = {
     "drive_no_load_speed": ("run-up", "a run-up"),
     "brake_lag": ("braking", "brake steps"),
     "brake_dead_time": ("braking", "brake steps"),
+    "brake_release_ratio": ("braking", "brake steps and a release"),
+    "brake_fade": ("braking", "brake steps"),
+    "r1/r2": ("run-up", "a run-up"),
 }
 
 EstimateStatus = Literal["identified", "assumed", "not identified"]
@@ -119,6 +122,8 @@ class Identification:
             return all(by_name[name].status != "not identified" for name in names if name in by_name)
 
         own: dict[str, Any] = {name: getattr(parameters, name) for name in ("J1", "J2", "Mg", "d1", "M10")}
+        if known("r1/r2"):
+            own["r1"] = parameters.r1
         if known("d", "M0"):
             own |= {"d2": parameters.d2, "M20": parameters.M20}
         if known(*(_mu_name(slip) for slip in SLIPS)):
@@ -200,6 +205,9 @@ def _all_derived(priors: Priors) -> Iterator[_Derived]:
     yield _Derived("drive_no_load_speed", "rad/s", lambda v: v["no_load"], motor.no_load_speed_rad_s)
     yield _Derived("brake_lag", "s", lambda v: v["lag"], 1.0 / base.c31)
     yield _Derived("brake_dead_time", "s", lambda v: v["dead_time"], math.nan)
+    yield _Derived("brake_release_ratio", "1", lambda v: v["release"], 1.0)
+    yield _Derived("brake_fade", "1/kJ", lambda v: v["fade"] / v["scale"], 0.0)
+    yield _Derived("r1/r2", "1", lambda v: v["r1/r2"], base.r1 / base.r2)
     for level in priors.levels:
         yield _Derived(torque_name(level), "N m", _torque(torque_name(level)), measured_torque(level))
     for slip in SLIPS:

@@ -33,12 +33,16 @@ _SPEEDS: Final[Mapping[str, int]] = {"run-up": 0, "coast-down": 1, "braking": 2}
 """Free start speeds of a segment: at rest none, rolling the road's, else both. The creep of wheels that roll settles
 within milliseconds, so its start is not observed."""
 _STEP: Final = 1e-4
-"""Step of the differences, for all parameters: counts are off by 1e-4 where another step is cut in the integration."""
+"""Step of the differences: the integration's steps are cut differently from there on, which moves counts by 1e-4."""
+_WIDE: Final = {"d1": 1e-2, "M10": 1e-2, "creep": 1e-2} | dict.fromkeys(
+    ("creep_p", "w1/w4", "w2/w4", "w3/w4", "dead_time", "release", "fade"), 1e-3
+)
+"""Step for parameters of little effect, of which that error would be a larger share."""
 _EVERYWHERE: Final = ("J1", "Mg", "d1", "M10", "r1/r2", "d", "M0")
 _DEPENDS: Final[Mapping[str, tuple[str, ...]]] = {
     "run-up": (*_EVERYWHERE, "creep", "creep_p", "stall", "no_load"),
     "coast-down": (*_EVERYWHERE, "creep", "creep_p"),
-    "braking": (*_EVERYWHERE, "w4", "w1/w4", "w2/w4", "w3/w4", "a", "p", "lag", "dead_time"),
+    "braking": (*_EVERYWHERE, "w4", "w1/w4", "w2/w4", "w3/w4", "a", "p", "lag", "dead_time", "release", "fade"),
 }
 """Parameters that affect each kind of segment, besides the brake's torques; the scale affects none."""
 
@@ -51,7 +55,9 @@ class Channel:
     wheel: Wheel
     counts: Floats
     basis: Floats
-    """Orthonormal: a constant, as the encoder's start angle is unknown, and the error of an eccentric disc."""
+    """Orthonormal: a constant, as the encoder's start angle is unknown, and two harmonics of the disc's error."""
+    harmonics: Floats
+    """Cosine and sine of the measured angle and of its double, a column each."""
 
     def free(self, rows: Floats) -> Floats:
         """`rows` in counts, without the constant and the eccentricity."""
@@ -66,9 +72,13 @@ def channels(segment: Segment) -> list[Channel]:
     for wheel, count in both:
         counts = count[segment.compared]
         angle = counts * (2.0 * math.pi / segment.counts_per_turn)
-        basis, _ = np.linalg.qr(np.column_stack([np.ones_like(angle), np.cos(angle), np.sin(angle)]))
-        found.append(Channel(segment, wheel, counts, basis))
+        basis, _ = np.linalg.qr(np.column_stack([np.ones_like(angle), *_harmonics(angle)]))
+        found.append(Channel(segment, wheel, counts, basis, np.column_stack(_harmonics(angle))))
     return found
+
+
+def _harmonics(angle: Floats) -> list[Floats]:
+    return [np.cos(angle), np.sin(angle), np.cos(2.0 * angle), np.sin(2.0 * angle)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,10 +120,11 @@ def fit(segments: Sequence[Segment], priors: Priors, progress: Progress | None =
     """
     rolling = [each for each in segments if each.kind != "braking"]
     problem, count = _Problem(rolling, priors), len(priors.fit_parameters)
-    found, converged = _searched(problem, problem.start, progress) if rolling else (problem.start, True)
+    found = _searched(problem, problem.start, _NOISES[:-1], progress)[0] if rolling else problem.start
     if len(rolling) < len(segments):
         begun, problem = found[:count], _Problem(segments, priors)
-        found, converged = _searched(problem, np.concatenate([begun, problem.start[count:]]), progress)
+        found = _searched(problem, np.concatenate([begun, problem.start[count:]]), _NOISES[:-1], progress)[0]
+    found, converged = _searched(problem, found, _NOISES[-1:], progress)
     free = problem.free
     jacobian = problem.jacobian(found, np.ones_like(free))
     information = jacobian.T @ jacobian
@@ -130,10 +141,12 @@ def fit(segments: Sequence[Segment], priors: Priors, progress: Progress | None =
     return Fit(priors, found[:count], covariance[:count, :count], moved[:count], before, residuals, converged)
 
 
-def _searched(problem: _Problem, start: Floats, progress: Progress | None) -> tuple[Floats, bool]:
+def _searched(
+    problem: _Problem, start: Floats, noises: Sequence[float], progress: Progress | None
+) -> tuple[Floats, bool]:
     """The best values of the parameters from `start`, and whether the search converged."""
     found, converged = start, False
-    for problem.noise in _NOISES:
+    for problem.noise in noises:
         found, converged = _round(problem, found, progress)
     return found, converged
 
@@ -184,6 +197,8 @@ class _Problem:
         self.free = np.arange(len(self.start)) >= len(FIXED)
         """Mask of the parameters that are not assumed."""
         count = len(priors.fit_parameters)
+        self._steps = np.full(len(self.start), _STEP)
+        self._steps[[self._places[name] for name in _WIDE]] = list(_WIDE.values())
         self._weights = np.eye(len(self.start)) / _SPEED_SD_RAD_S
         self._weights[:count, :count] = priors.weights
 
@@ -207,12 +222,12 @@ class _Problem:
             names = [*_DEPENDS[segment.kind], *map(torque_name, segment.levels)]
             places = [place for place in (*(self._places[name] for name in names), *own) if free[place]]
             rows = np.repeat(x[None, :], len(places) + 1, axis=0)
-            rows[np.arange(1, len(rows)), places] += _STEP
+            rows[np.arange(1, len(rows)), places] += self._steps[places]
             simulated = self._simulated(segment, rows, own)
             for channel in its_channels:
                 counts = simulated[channel.wheel]
                 block = np.zeros((counts.shape[1], len(x)))
-                block[:, places] = channel.free(counts[0] - counts[1:]).T / (_STEP * self.noise)
+                block[:, places] = channel.free(counts[0] - counts[1:]).T / (self._steps[places] * self.noise)
                 blocks.append(block)
         return np.concatenate([*blocks, self._weights])
 

@@ -90,6 +90,8 @@ class Priors:
             FitParameter("p", k.p, 0.1),
             FitParameter("lag", lag, 0.05, log=False),
             FitParameter("dead_time", 0.01, 1.0),
+            FitParameter("release", 1.0, 0.5),
+            FitParameter("fade", 0.0, 0.2, log=False),
             *(FitParameter(torque_name(duty), measured_torque(duty), 3.0, log=False) for duty in self.levels),
         )
 
@@ -156,7 +158,12 @@ class Priors:
         if rolling:
             base = self.base
             k = replace(k, w1=base.w1, w2=base.w2, w3=base.w3, w4=base.w4, a=values["creep"], p=values["creep_p"])
-        return RigVariation(k, brake_dead_time_s=min(max(values["dead_time"], 0.0), _LONGEST_DEAD_TIME_S))
+        return RigVariation(
+            k,
+            brake_dead_time_s=min(max(values["dead_time"], 0.0), _LONGEST_DEAD_TIME_S),
+            brake_release_ratio=min(max(values["release"], 0.1), 10.0),
+            brake_fade_per_kj=min(max(values["fade"], 0.0), 5.0),
+        )
 
 
 _RADII: Final = 0.03

@@ -10,6 +10,9 @@ _STAIR_FIRST: Final = 0.45
 _STAIR_RISE: Final = 0.025
 _STAIR_STEP_S: Final = 0.25
 """Five lags of the brake, so that each step settles."""
+_RELEASED: Final = 0.70
+_HELD_S: Final = 0.4
+"""The wheels still turn at more than 100 rad/s when the brake is released."""
 _COAST_RATE_HZ: Final = 500.0
 _COAST_TIMEOUT_S: Final = 120.0
 """A coast-down from 180 rad/s takes about 48 s (docs/facts/rig.md#checks-of-a-simulation)."""
@@ -34,6 +37,7 @@ def experiments(brake_limit: float) -> tuple[PlannedRun, ...]:
         for duty in _STOPS
         if duty <= brake_limit
     ]
+    released = min(_RELEASED, brake_limit)
     return (
         PlannedRun(
             "coast",
@@ -46,6 +50,11 @@ def experiments(brake_limit: float) -> tuple[PlannedRun, ...]:
             _steps(_STAIR_FIRST, _STAIR_RISE, _STAIR_STEP_S),
         ),
         *stops,
+        PlannedRun(
+            "release",
+            f"one brake step, to {released:g}, and its release",
+            (*_steps(released, -released, _HELD_S, _COAST_TIMEOUT_S), f"loop.rate_hz={_COAST_RATE_HZ}"),
+        ),
     )
 
 

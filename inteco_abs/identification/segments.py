@@ -21,6 +21,8 @@ SAMPLE_S: Final[dict[SegmentKind, float]] = {"run-up": 0.020, "coast-down": 0.05
 _SPEED_WINDOW_S: Final = 0.020
 _SLOWEST_RAD_S: Final[dict[SegmentKind, float]] = {"run-up": 0.0, "coast-down": 3.0, "braking": 3.0}
 """Road speed at which a segment ends; below, slip has no meaning and counts are too few."""
+_RELEASED_S: Final = 0.5
+"""Time after a release in which the brake's lag is over; then the wheels coast."""
 _FEWEST_SAMPLES: Final = 50
 _MOST_RUN_UPS: Final = 2
 
@@ -75,6 +77,8 @@ def segment(
         speed = (road[ahead] - road) / elapsed * (2.0 * np.pi / counts_per_turn)
     slow = np.flatnonzero((speed < _SLOWEST_RAD_S[kind]) & (elapsed > 0.5 * _SPEED_WINDOW_S))
     end = int(slow[0]) if len(slow) and kind != "run-up" else len(time_s)
+    if kind == "braking" and brake.any():
+        end = min(end, int(np.searchsorted(time_s, time_s[np.flatnonzero(brake)[-1]] + _RELEASED_S)))
     if end < _FEWEST_SAMPLES:
         return None
     grid = np.floor((time_s[:end] - time_s[0]) / SAMPLE_S[kind] + 1e-6)
