@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from inteco_abs.cli.dry_run import Planned, check_start, dry_run_option
+from inteco_abs.cli.dry_run import Planned, check_start, dry_run_option, refuse_start
 from inteco_abs.cli.options import FILE, LOSSES, Finite, RunOptions, json_option, require_different, run_options
 from inteco_abs.cli.session_files import read_whole
-from inteco_abs.cli.terminal import print_json, say, show
+from inteco_abs.cli.terminal import fit_progress, print_json, say, show
 from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, describe_disk
 
 if TYPE_CHECKING:
@@ -133,7 +133,8 @@ def _identified(rig: RigConfig, files: tuple[Path, ...], assumed: dict[str, floa
         raise ConfigError.of("SESSION", problem)
     parts = chosen(found)
     say(f"fitting {len(parts)} phases of {len(files)} sessions", err=True)
-    return identify(parts, nominal_parameters(rig.model), assumed)
+    with fit_progress() as progress:
+        return identify(parts, nominal_parameters(rig.model), assumed, progress)
 
 
 def _assumed(statements: tuple[str, ...]) -> dict[str, float]:
@@ -187,10 +188,15 @@ def _record(options: RunOptions, out: Path | None, pause_s: float, *, dry_run: b
         plan = Plan(out=folder / f"{name}.mcap", board=options.board, virtual=options.virtual, seed=number)
         return Planned(config, plan, shows=shows)
 
-    limit = options.load(checks=[control_check()]).guard.brake_limit
-    planned = [
-        planned_run(number, each.settings, each.name, each.shows) for number, each in enumerate(experiments(limit))
-    ]
+    try:
+        limit = options.load(checks=[control_check()]).guard.brake_limit
+        planned = [
+            planned_run(number, each.settings, each.name, each.shows) for number, each in enumerate(experiments(limit))
+        ]
+    except ConfigError as error:
+        if dry_run:
+            return refuse_start([partial(check_folder, folder)], error, as_json=as_json)
+        raise
     pause_s = 0.0 if options.virtual else pause_s
     if dry_run:
         places = [partial(check_output, each.plan.out) for each in planned] if folder.is_dir() else []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import date
 from typing import TYPE_CHECKING, Any, TextIO
@@ -92,6 +92,25 @@ def stops_progress() -> Iterator[Progress | None]:
                 bar.reset(task, completed=done, total=total)
             else:
                 bar.update(task, completed=done, description="braking")
+
+        yield update
+
+
+@contextmanager
+def fit_progress() -> Iterator[Callable[[float, float], None] | None]:
+    """Line on a terminal's stderr with the step of a fit and its residuals in counts; None without a terminal."""
+    if not on_terminal(sys.stderr):
+        yield None
+        return
+    from rich.console import Console
+
+    steps = 0
+    with Console(stderr=True).status("compiling, then fitting") as status:
+
+        def update(noise: float, rms: float) -> None:
+            nonlocal steps
+            steps += 1
+            status.update(f"fitting: step {steps}, residuals {rms:.3g} counts rms, weighed as {noise:g} counts")
 
         yield update
 

@@ -189,6 +189,14 @@ _Any = Annotated[float, Interval(ge=-1e3, le=1e3)]
 class IdentifiedConfig(Section):
     """A lab's own parameters in SI units, as written by `inteco-abs identify`, instead of the published ones."""
 
+    r1: _Positive | None = None
+    """Radius of the upper wheel, the braked one, m."""
+    r2: _Positive | None = None
+    """Radius of the lower wheel, the road, m."""
+    L: _Positive | None = None
+    """Distance from the contact to the lever's axis, m."""
+    phi_rad: Annotated[float, Interval(gt=0.0, lt=1.5708)] | None = None
+    """Angle between the contact normal and the lever, rad."""
     J1: _Positive | None = None
     """Moment of inertia of the braked wheel, kg m2."""
     J2: _Positive | None = None

@@ -9,7 +9,6 @@ from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 import tomli_w
-from scipy.stats import norm
 
 from inteco_abs.identification.fit import Fit, Progress, fit
 from inteco_abs.identification.parameters import ASSUMED, Priors, torque_name
@@ -19,6 +18,8 @@ from inteco_abs.rig import DriveMotor, RigParameters, adhesion, measured_torque
 SLIPS: Final = (0.02, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0)
 """Slips at which the friction curve is reported."""
 _SHARE: Final = 0.95
+_SAMPLES: Final = 20_000
+"""Draws from which the width of an interval is known to 1 %."""
 _LEARNED: Final = 0.5
 """Largest standard deviation of an identified parameter, as a share of the prior's."""
 _STEP: Final = 1e-5
@@ -160,11 +161,10 @@ def identify(
 
 
 def _estimates(found: Fit, kinds: set[SegmentKind]) -> Iterator[ParameterEstimate]:
-    deviations = norm.ppf(0.5 + 0.5 * _SHARE)
     priors, assumed = found.priors, {"J1", "J2", "Mg", "d1", "M10"}
     for derived in _all_derived(priors):
         slope = _slope(derived, found)
-        sd = math.sqrt(slope @ found.total @ slope)
+        off, sd = _half_width(slope, found), math.sqrt(slope @ found.total @ slope)
         before = math.sqrt(slope @ found.before @ slope)
         value = derived.of(found.values())
         kind, what = _NEEDED.get(derived.name, ("braking", "brake steps that reach it"))
@@ -172,10 +172,19 @@ def _estimates(found: Fit, kinds: set[SegmentKind]) -> Iterator[ParameterEstimat
         if not why and derived.name not in assumed and sd > _LEARNED * before:
             why = "the sessions do not separate it from the rest"
         status: EstimateStatus = "assumed" if derived.name in assumed else "not identified" if why else "identified"
-        off = deviations * sd
         yield ParameterEstimate(
             derived.name, derived.unit, value, value - off, value + off, derived.published, status, why
         )
+
+
+def _half_width(slope: Any, found: Fit) -> float:
+    """Half of the interval: an error of the fit, which is normal, and those of what is assumed, evenly distributed."""
+    fixed = found.moved.shape[1]
+    shares = slope @ found.moved @ np.linalg.inv(found.priors.weights[:fixed, :fixed])
+    rng = np.random.default_rng(0)
+    assumed = shares @ rng.uniform(-math.sqrt(3.0), math.sqrt(3.0), (fixed, _SAMPLES))
+    own = math.sqrt(slope @ found.covariance @ slope) * rng.standard_normal(_SAMPLES)
+    return float(np.quantile(np.abs(assumed + own), _SHARE))
 
 
 def _slope(derived: _Derived, found: Fit) -> Any:

@@ -49,7 +49,11 @@ _DEPENDS: Final[Mapping[str, tuple[str, ...]]] = {
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One wheel's counts in one segment."""
+    """One wheel's counts in one segment.
+
+    In a coast-down only the road's: the wheel hardly pushes the road then, its own friction brakes it as much as the
+    road's does both, and its creep, as the root of next to nothing, follows from no parameter that is known.
+    """
 
     segment: Segment
     wheel: Wheel
@@ -69,7 +73,7 @@ def channels(segment: Segment) -> list[Channel]:
     """The channels of a segment that are compared with the model."""
     found = []
     both: tuple[tuple[Wheel, Floats], ...] = (("wheel", segment.wheel_count), ("road", segment.road_count))
-    for wheel, count in both:
+    for wheel, count in both[segment.kind == "coast-down" :]:
         counts = count[segment.compared]
         angle = counts * (2.0 * math.pi / segment.counts_per_turn)
         basis, _ = np.linalg.qr(np.column_stack([np.ones_like(angle), *_harmonics(angle)]))

@@ -24,8 +24,8 @@ Floats = npt.NDArray[np.float64]
 ASSUMED: Final[Mapping[str, float]] = {"J1": 0.05, "J2": 0.05, "Mg": 0.05, "d1": 0.2, "M10": 0.6}
 """Assumed parameters, and their uncertainty in both directions as a share. M10: the manual's table 3 has 0.0022 to
 0.0050 N m for one rig; the others as in the population `hard`."""
-FIXED: Final = ("scale", "J1", "Mg")
-"""Parameters of which counts say nothing: the search leaves them at their priors. They are the first ones."""
+FIXED: Final = ("scale", "J1", "Mg", "d1", "M10")
+"""Parameters that stay at their priors in the search, the first ones."""
 FULL_NM: Final = 20.0
 """More than any brake of this rig gives; the plant gets torques as shares of it."""
 _UNIFORM: Final = math.sqrt(3.0)
@@ -162,7 +162,6 @@ class Priors:
             k,
             brake_dead_time_s=min(max(values["dead_time"], 0.0), _LONGEST_DEAD_TIME_S),
             brake_release_ratio=min(max(values["release"], 0.1), 10.0),
-            brake_fade_per_kj=min(max(values["fade"], 0.0), 5.0),
         )
 
 

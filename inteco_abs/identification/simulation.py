@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -17,6 +18,8 @@ from inteco_abs.rig.state import Constants
 
 _STEP_S: Final[dict[SegmentKind, float]] = {"run-up": 0.005, "coast-down": 0.005, "braking": 0.001}
 """Step of the integration."""
+_LEAST_FADE: Final = -1.0
+"""1/kJ: with the energy of both wheels, 0.5 kJ, the torque would double."""
 
 
 def angles(
@@ -28,8 +31,11 @@ def angles(
     """
     motors = [DriveMotor(values["stall"], values["no_load"]) for values in sets]
     rolling, step_s = segment.kind != "braking", _STEP_S[segment.kind]
-    constants = [
-        Constants.of(priors.variation(values, rolling=rolling), motor, step_s)
+    constants = [  # a fade below 0 is no rig's, but the search must not end in a corner at 0
+        replace(
+            Constants.of(priors.variation(values, rolling=rolling), motor, step_s),
+            brake_fade_per_kj=max(values["fade"], _LEAST_FADE),
+        )
         for values, motor in zip(sets, motors, strict=True)
     ]
     levels = (0.0, *segment.levels)
@@ -56,8 +62,8 @@ def angles(
 def _trace(
     rigs: Any,
     states: Any,
-    due_s: Floats,
-    torques: Floats,
+    due_s: Any,
+    torques: Any,
     duties: Floats,
     level: Any,
     drive: Floats,

@@ -122,7 +122,7 @@ def move_on(
         part_s = min(left_s, min(arrival_s, change_s) - s.time_s)
         _move(k, s, drive, part_s)
         s.time_s += part_s
-        if k.brake_fade_per_kj > 0.0 or k.wheel_wear_per_kj > 0.0:
+        if k.brake_fade_per_kj != 0.0 or k.wheel_wear_per_kj > 0.0:
             heat(k, s, part_s)
         if part_s == left_s:
             break

@@ -45,9 +45,8 @@ def identified(sessions):
     with pytest.MonkeyPatch.context() as patch:
         printed = []
         patch.setattr("inteco_abs.cli.identify.print_json", printed.append)
-        # these sessions are so few that its last round of 200 would not end either, along what they hardly determine
-        patch.setattr("inteco_abs.identification.fit._ROUNDS", ((300.0, 20), (30.0, 20), (5.0, 20), (1.0, 20)))
         code = identify(*sessions.values(), "-o", out, "--json")
+    assert printed[0]["converged"]
     return code, {each["name"]: each for each in printed[0]["estimates"]}, out
 
 
@@ -63,6 +62,7 @@ def true_values():
         "M0/J": M0 / inertia,
         "drive_stall_torque": 1.72,
         "drive_no_load_speed": 300.0,
+        "r1/r2": k.r1 / k.r2,
         "brake_lag": 1.0 / k.c31,
         "brake_dead_time": RIG.brake_dead_time_s,
         "M1(0.6)": settled_torque(round(0.6 * PWM_STEPS) / PWM_STEPS, RIG),
@@ -94,6 +94,7 @@ def test_the_parameter_file_is_a_configuration_for_all_that_uses_a_model(identif
     model = load_config(identified[2]).model
     estimates = identified[1]
     parameters = nominal_parameters(model)
+    assert parameters.r1 / parameters.r2 == pytest.approx(estimates["r1/r2"]["value"])
     assert parameters.d2 == pytest.approx(estimates["d2"]["value"])
     assert 1.0 / parameters.c31 == pytest.approx(estimates["brake_lag"]["value"])
     assert nominal_brake_map(model).torque(0.7) == pytest.approx(estimates["M1(0.7)"]["value"])
@@ -160,6 +161,20 @@ def test_the_whole_plan_is_recorded(tmp_path):
     slow = ("--set", "experiment.start_speed_rad_s=20")
     assert identify("--plan", "--virtual", *slow, "-o", tmp_path) == 0
     assert {file.stem for file in tmp_path.iterdir()} == {each.name for each in experiments(1.0)}
+
+
+def test_a_measured_geometry_replaces_the_published_one():
+    measured = {"r1": 0.0956, "r2": 0.0991, "L": 0.371, "phi_rad": 1.14}
+    settings = [f"model.identified.{name}={value}" for name, value in measured.items()]
+    parameters = nominal_parameters(load_config(settings=settings).model)
+    assert {name: getattr(parameters, name) for name in measured} == measured
+
+
+def test_a_wrong_configuration_of_the_plan_is_reported_as_json(capsys):
+    wrong = ("--set", "guard.brake_limit=7")
+    assert identify("--plan", "--virtual", "--dry-run", "--json", *wrong) == 2
+    (refused,) = json.loads(capsys.readouterr().out)["refused"]
+    assert refused["where"] == "guard.brake_limit"
 
 
 def test_the_plan_keeps_to_the_guards_limit():
