@@ -23,6 +23,8 @@ _NOISES: Final = (300.0, 30.0, 5.0, 1.0)
 """Standard deviation of a residual in counts in each round: far from the solution counts weigh less."""
 _NEAR: Final = 0.05
 """Distance to the solution at which the last round ends, in standard deviations of the parameters."""
+_FLAT: Final = 0.5
+"""Largest distance at which a search has converged that finds nothing lower: there, rounding hides the slope."""
 _MOST_STEPS: Final = 50
 """Steps of a round. The last one takes 5 to 15."""
 _HARDEST: Final = 1e10
@@ -172,7 +174,8 @@ def _round(problem: _Problem, found: Floats, progress: Progress | None) -> tuple
         size = np.sqrt(np.diag(information))
         scaled, slope = information / np.outer(size, size), gradient / size
         variance = residuals @ residuals / len(residuals)
-        if slope @ np.linalg.solve(scaled, slope) < (_NEAR * _NEAR * variance if problem.noise == _NOISES[-1] else 1.0):
+        distance = slope @ np.linalg.solve(scaled, slope)
+        if distance < (_NEAR * _NEAR * variance if problem.noise == _NOISES[-1] else 1.0):
             return found, True
         while True:
             trial = found.copy()
@@ -182,7 +185,7 @@ def _round(problem: _Problem, found: Floats, progress: Progress | None) -> tuple
                 break
             damping *= 10.0
             if damping > _HARDEST:
-                return found, False
+                return found, distance < _FLAT * _FLAT * variance
         found, residuals, damping = trial, nearer, damping / 10.0
     return found, False
 
