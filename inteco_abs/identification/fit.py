@@ -62,8 +62,6 @@ class Channel:
     counts: Floats
     basis: Floats
     """Orthonormal: a constant, as the encoder's start angle is unknown, and two harmonics of the disc's error."""
-    harmonics: Floats
-    """Cosine and sine of the measured angle and of its double, a column each."""
 
     def free(self, rows: Floats) -> Floats:
         """`rows` in counts, without the constant and the eccentricity."""
@@ -78,13 +76,10 @@ def channels(segment: Segment) -> list[Channel]:
     for wheel, count in both[segment.kind == "coast-down" :]:
         counts = count[segment.compared]
         angle = counts * (2.0 * math.pi / segment.counts_per_turn)
-        basis, _ = np.linalg.qr(np.column_stack([np.ones_like(angle), *_harmonics(angle)]))
-        found.append(Channel(segment, wheel, counts, basis, np.column_stack(_harmonics(angle))))
+        turns = [np.cos(angle), np.sin(angle), np.cos(2.0 * angle), np.sin(2.0 * angle)]
+        basis, _ = np.linalg.qr(np.column_stack([np.ones_like(angle), *turns]))
+        found.append(Channel(segment, wheel, counts, basis))
     return found
-
-
-def _harmonics(angle: Floats) -> list[Floats]:
-    return [np.cos(angle), np.sin(angle), np.cos(2.0 * angle), np.sin(2.0 * angle)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,7 +180,7 @@ def _round(problem: _Problem, found: Floats, progress: Progress | None) -> tuple
                 break
             damping *= 10.0
             if damping > _HARDEST:
-                return found, distance < _FLAT * _FLAT * variance
+                return found, bool(distance < _FLAT * _FLAT * variance)
         found, residuals, damping = trial, nearer, damping / 10.0
     return found, False
 
