@@ -177,6 +177,22 @@ def test_a_wrong_configuration_of_the_plan_is_reported_as_json(capsys):
     assert refused["where"] == "guard.brake_limit"
 
 
+@pytest.mark.long
+def test_a_law_on_the_identified_model_holds_the_slip_ten_times_better(tmp_path, capsys):
+    rig, found = ("--virtual", "--rig", "hard:17"), tmp_path / "rig.toml"
+    assert identify("--plan", *rig, "-o", tmp_path / "plan") == 0
+    assert identify(*sorted((tmp_path / "plan").glob("*.mcap")), "-o", found) == 0
+    law = ("--controller", "boundary-layer", "--estimator", "kalman", "--set", "controller.gains.lag_s=0.055")
+
+    def slip_rms(name, *model):
+        capsys.readouterr()
+        run = ("run", *rig, *law, *model, "--quiet", "--json", "--out", tmp_path / name)
+        untraced(cli.main, [str(each) for each in run], standalone_mode=False)
+        return json.loads(capsys.readouterr().out)["slip_rms_true"]
+
+    assert slip_rms("identified.mcap", "--config", found) < 0.1 * slip_rms("published.mcap")
+
+
 def test_the_plan_keeps_to_the_guards_limit():
     duties = [float(each.name[-3:]) / 100 for each in experiments(0.7) if each.name.startswith("stop-")]
     assert max(duties) == 0.7
