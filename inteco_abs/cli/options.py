@@ -213,7 +213,7 @@ _OPTIONS: Final = {
                           help="A controller that `inteco-abs controllers` lists, or your own as file.py:Class."),
     "estimator": _option("--estimator", shell_complete=estimator_names,
                          help="An estimator that `inteco-abs estimators` lists: moving-window, tracking, kalman, "
-                         "edge-time, observer, euler (the paper's) or difference (the vendor's)."),
+                         "edge-time, observer, adaptive-observer, euler (the paper's) or difference (the vendor's)."),
     "faults": _option("--inject", multiple=True, metavar="FAULT",
                       help="Inject a fault into the mock board, as lose@brake+20ms; `inteco-abs faults` lists all."),
     "live_port": _option("--foxglove", is_flag=False, flag_value=_LIVE_PORT, type=Whole(0, 65535), metavar="[PORT]",

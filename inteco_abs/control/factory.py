@@ -98,6 +98,12 @@ def _needed_estimator(table: Mapping[str, Any], controllers: Mapping[str, type[C
     return needed
 
 
+def _same_kind(name: str, needed: str) -> bool:
+    """Whether both are of one class, tuned in different ways."""
+    known = name in ESTIMATORS and needed in ESTIMATORS
+    return known and ESTIMATORS[name].works is ESTIMATORS[needed].works
+
+
 def control_check(
     controllers: Mapping[str, type[Controller]] = CONTROLLERS, estimators: Collection[str] = ESTIMATORS
 ) -> Check:
@@ -109,7 +115,7 @@ def control_check(
         needed = _needed_estimator(table, controllers)
         if isinstance(name, str) and name not in estimators:
             yield ConfigIssue("estimator.name", f"no estimator {name!r}{near_match(name, estimators)}")
-        elif isinstance(name, str) and needed not in {"", name}:
+        elif isinstance(name, str) and needed not in {"", name} and not _same_kind(name, needed):
             problem = (
                 f"{name!r}: the controller {controller['name']} needs {needed!r}; choose it, or another controller"
             )

@@ -24,7 +24,7 @@ from inteco_abs.control import (
     outlook,
 )
 from inteco_abs.montecarlo.policies import TrueState
-from inteco_abs.rig import AdhesionCurve, RigVariation, adhesion, brake_duty, measured_duty
+from inteco_abs.rig import LONGEST_DEAD_TIME_S, AdhesionCurve, RigVariation, adhesion, brake_duty, measured_duty
 from inteco_abs.rig.brake_actuator import settled
 from inteco_abs.rig.state import Constants
 from inteco_abs.signals import Command, Estimate, Prediction, Sample
@@ -74,7 +74,7 @@ class _OracleEstimator:
         self._state = state
         self._contact = WheelDynamics(variation.parameters)
         self._constants = Constants.of(variation)
-        self._pending = DelayLine(period_s)
+        self._pending = DelayLine(period_s, LONGEST_DEAD_TIME_S)
         self._surface = AdhesionCurve(variation.adhesion_scale, variation.adhesion_blend)
         self._braked_since_ns = math.inf
 
@@ -101,4 +101,4 @@ class _OracleEstimator:
         cosine, sine = factor * rig.load_ripple * sine_of_phase, factor * rig.load_ripple * cosine_of_phase
         now = (state.wheel_angle, x1, 0.0, x2, state.brake_torque, 0.0, factor, cosine, sine)
         lag_s = max(1.0 / k.c31, _LEAST_LAG_S)
-        return outlook(self._contact, self._pending.k, self._pending, (*now, rig.brake_dead_time_s, lag_s))
+        return outlook(self._contact, self._pending.k, self._pending, (*now, rig.brake_dead_time_s, lag_s), 1.0)

@@ -6,7 +6,7 @@ import math
 from typing import Final
 
 from inteco_abs import elementary
-from inteco_abs.rig.rng import WORD, Word, mixed, normal_pair
+from inteco_abs.rig.rng import WORD, Word, mixed, normal_pair, uniform
 from inteco_abs.rig.variation import EncoderVariation, RigVariation
 
 _TURN_RAD: Final = 2.0 * math.pi
@@ -69,7 +69,7 @@ def _lost(disc: EncoderVariation, counted: int) -> int:
 
 def latch_error_s(latch_jitter_s: float, seed: Word, reading: int) -> float:
     """Time by which the counts of a reading, 1 at first, are latched after its time stamp, s."""
-    return latch_jitter_s * normal_pair(seed ^ _LATCH, reading)[0]
+    return latch_jitter_s * uniform(seed ^ _LATCH, reading)
 
 
 def noise_seed(variation: RigVariation) -> Word:

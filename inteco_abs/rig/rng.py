@@ -45,6 +45,11 @@ class SplitMix64:
         return low + (high - low) * ((self.word() >> 11) * 2.0**-53)
 
 
+def uniform(seed: Word, number: int) -> float:
+    """Number `number` (1, 2, ...) of a sequence that is evenly spread over -1..1."""
+    return (mixed(seed + number * _GOLDEN & WORD) >> 11) * 2.0**-52 - 1.0
+
+
 def normal_pair(seed: Word, number: int) -> tuple[float, float]:
     """Pair `number` (1, 2, ...) of a standard normal sequence: Box and Muller on one word."""
     word = mixed(seed + number * _GOLDEN & WORD)

@@ -165,7 +165,7 @@ class RigVariation:
     drive_residual_nm: float = 0.0
     """Torque of the drive without a duty, 0..0.09 N m, less than the road's static friction."""
     latch_jitter_s: float = 0.0
-    """Standard deviation of the normal error between a time stamp and its counts, of both wheels, 0..0.001 s."""
+    """Largest time between a time stamp and its counts, before or after it, of both wheels, 0..0.001 s."""
     wheel_encoder: EncoderVariation = EncoderVariation()
     road_encoder: EncoderVariation = EncoderVariation()
     command_delay_ticks: int = 0

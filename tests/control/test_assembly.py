@@ -209,7 +209,7 @@ def test_other_keys_of_the_estimator_do_not_choose_one():
     assert chosen(*settings) == ("predictive-reaching", "observer")
 
 
-@pytest.mark.parametrize("name", sorted(set(ESTIMATORS) - {"observer"}))
+@pytest.mark.parametrize("name", sorted(set(ESTIMATORS) - {"observer", "adaptive-observer"}))
 def test_another_estimator_than_the_one_that_is_needed_is_refused(name):
     settings = ["controller.name=predictive-reaching", f"estimator.name={name}"]
     with pytest.raises(ConfigError) as caught:

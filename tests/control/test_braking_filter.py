@@ -188,17 +188,18 @@ CONTACT = WheelDynamics(MASK)
 
 def under_way():
     """Commands of rising duty."""
-    pending = DelayLine(PERIOD_S)
+    pending = DelayLine(PERIOD_S, 0.03)
     for tick in range(60):
         pending.tell(MEASURED_MAP.torque(0.5 + 0.005 * tick), 1)
     return pending
 
 
-def anywhere(state, covariance):
+def anywhere(state, covariance, jitter_s=0.0):
     """Constants, a filter in any state, and commands under way."""
     pending = under_way()
     tuning = EkfTuning()
-    k = EkfConstants(CONTACT, pending.k, tuning, MASK.r1 / MASK.r2, (tuning.count_noise * COUNT_RAD) ** 2)
+    noise = (tuning.count_noise * COUNT_RAD) ** 2
+    k = EkfConstants(CONTACT, pending.k, tuning, MASK.r1 / MASK.r2, noise, jitter_s**2)
     return k, EkfState(state.tolist(), covariance.tolist()), pending
 
 
@@ -222,14 +223,16 @@ def test_uncertainty_is_carried_along_as_the_states_are(column):
     assert math.copysign(1.0, moved[strongest]) * carried == pytest.approx(moved, rel=0.02, abs=tolerance)
 
 
-def test_both_angles_correct_the_states_as_one_measurement():
+@pytest.mark.parametrize("jitter_s", [0.0, 0.0001])
+def test_both_angles_correct_the_states_as_one_measurement(jitter_s):
     random = np.random.default_rng(1)
     root = random.normal(size=(11, 11)) * np.abs(START)[:, None] * 1e-3
     covariance, measured = root @ root.T, START[[0, 2]] + [0.002, -0.001]
     seen = np.eye(11)[[0, 2]]
     noise = (EkfTuning().count_noise * COUNT_RAD) ** 2 * np.eye(2)
+    noise += jitter_s**2 * np.outer(START[[1, 3]], START[[1, 3]])
     gain = covariance @ seen.T @ np.linalg.inv(seen @ covariance @ seen.T + noise)
-    k, rig, _ = anywhere(START, covariance)
+    k, rig, _ = anywhere(START, covariance, jitter_s)
     assert correct(k, rig, *measured)
     assert rig.x == pytest.approx(START + gain @ (measured - START[[0, 2]]), rel=1e-9)
     assert np.array(rig.P) == pytest.approx(covariance - gain @ seen @ covariance, rel=1e-6, abs=1e-15)
@@ -238,7 +241,7 @@ def test_both_angles_correct_the_states_as_one_measurement():
 def test_looking_ahead_is_a_straight_line_through_the_middle_of_the_ripple():
     state = START * [1, 1, 1, 1, 1, 0, 1, 0, 0, 1, 1] + [0, 0, 0, 0, 0, 0, 0, 0.03, 0.02, 0, 0]
     pending, step_s = under_way(), 1e-5
-    expected = outlook(CONTACT, pending.k, pending, state.tolist())
+    expected = outlook(CONTACT, pending.k, pending, state.tolist(), 1.0)
     angle, wheel, _, road = state[:4]
     horizon_s, _, mean_nm = ahead(pending.k, pending, *state[[4, 9, 10]])
     for _ in range(round(horizon_s / step_s)):

@@ -7,11 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inteco_abs.control.estimators.prediction import LONGEST_DEAD_TIME_S, DelayLine, ahead, arrived
+from inteco_abs.control.estimators.prediction import DelayLine, ahead, arrived
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
 PERIOD_S = 0.0005
+LONGEST_DEAD_TIME_S = 0.03
 SEEDS = st.integers(0, 2**32 - 1)
 DEAD_TIMES = st.floats(0.002, LONGEST_DEAD_TIME_S)
 WHOLE = st.integers(4, 59).map(lambda ticks: (ticks + 1e-6) * PERIOD_S)  # not a rounding error less than a tick
@@ -27,7 +28,7 @@ class History:
         random = np.random.default_rng(seed)
         torques, ticks = random.uniform(0.0, FULL_NM, 120).tolist(), random.integers(1, 6, 120).tolist()
         torques[-1] = torques[-1] if last is None else last
-        self.pending, self.period_s, self.newest = DelayLine(period_s), period_s, torques[-1]
+        self.pending, self.period_s, self.newest = DelayLine(period_s, LONGEST_DEAD_TIME_S), period_s, torques[-1]
         for torque, count in zip(torques, ticks, strict=True):
             self.pending.tell(torque, count)
         held = [before for before, count in zip([0.0, *torques], ticks, strict=False) for _ in range(count)]

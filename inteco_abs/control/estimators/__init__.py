@@ -21,6 +21,7 @@ _SHIPPED: Final[dict[str, EstimatorSpec]] = {
     "tracking": tracking.SPEC,
     "kalman": kalman.SPEC,
     "observer": observer.SPEC,
+    "adaptive-observer": observer.ADAPTIVE,
 }
 ESTIMATORS: Final = Registry("an estimator", "inteco_abs.estimators", "estimator.name", _SHIPPED, require_estimator)
 """Estimators by name: those that ship and those of installed packages."""

@@ -9,7 +9,6 @@ from typing import Final, NamedTuple
 from inteco_abs import elementary
 from inteco_abs.control.estimators.eccentricity import DiscState
 from inteco_abs.control.estimators.prediction import (
-    LONGEST_DEAD_TIME_S,
     NOT_A_SLIP,
     DelayConstants,
     DelayState,
@@ -22,9 +21,6 @@ from inteco_abs.rig.friction import formula, formula_slope
 _LONGEST_STEP_S: Final = 0.001
 """Longest step of the explicit integration; longer ones would oscillate at little slip."""
 _SHORTEST_DEAD_TIME_S: Final = 0.002
-_SHORTEST_LAG_S: Final = 0.025
-_LONGEST_LAG_S: Final = 0.090
-"""Both estimates are clamped to such ranges."""
 _WALK_AT_RAD_S: Final = 100.0
 _UNSETTLED: Final = 0.5
 """Standard deviation of the brake's torque at the start, as a share of the torque commanded last."""
@@ -77,6 +73,18 @@ class EkfTuning:
     """Threshold of detection: mean of the wheel's innovations, each over its standard deviation."""
     surprise_gain: float = 0.15
     """Weight of a new innovation in that mean."""
+    longest_dead_time_s: float = 0.030
+    """The estimate is clamped to 2 ms and this, and the lag's to the next two."""
+    shortest_lag_s: float = 0.025
+    longest_lag_s: float = 0.090
+    latch_jitter_s: float = 0.0
+    """Deviation of the time between stamp and counts, common to both wheels."""
+    learns_radius: bool = False
+    """Whether the ratio of the radii is learnt in the run-up."""
+    finds_onset: bool = False
+    """Whether a dead time far from the prior one is found by the instant at which the wheel departs from rolling."""
+    learns_second: bool = False
+    """Whether the discs' errors twice per turn are learnt there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +98,8 @@ class EkfConstants:
     """r1/r2"""
     noise: float
     """Variance of a reading's angle, rad2."""
+    jitter: float
+    """Variance of the time between stamp and counts, s2."""
 
 
 @dataclass(slots=True)
@@ -113,6 +123,9 @@ class EkfState:
     surprise: float = 0.0
     step_in_s: float = 0.0
     """Until a step of the adhesion may show."""
+    radius_ratio: float = 1.0
+    """Ratio of the radii r1/r2 over the published one. The wheel's angle and speed in the state are this times the real
+    ones, so that the published radii hold for them."""
 
 
 def begin(k: EkfConstants, s: EkfState, pending: DelayState, wheel: DiscState, road: DiscState) -> None:
@@ -122,7 +135,8 @@ def begin(k: EkfConstants, s: EkfState, pending: DelayState, wheel: DiscState, r
         x[i] = 0.0
         for j in range(11):
             P[i][j] = 0.0
-    x[0], x[1], x[2], x[3], x[4] = wheel.angle, wheel.speed, road.angle, road.speed, newest_nm
+    ratio = s.radius_ratio
+    x[0], x[1], x[2], x[3], x[4] = wheel.angle * ratio, wheel.speed * ratio, road.angle, road.speed, newest_nm
     x[6], x[9], x[10] = 1.0, sd.dead_time_s, sd.lag_s
     for i, disc in ((0, wheel), (2, road)):
         P[i][i], P[i + 1][i + 1] = disc.P[0][0], disc.P[1][1] + elementary.raised(sd.road_walk_rad_s, 2)
@@ -150,8 +164,8 @@ def braking_ekf(
     if s.step_in_s <= 0.0 and abs(s.surprise) > k.tuning.surprise:
         _allow_step(k, s)
     x = s.x
-    x[9] = min(max(x[9], _SHORTEST_DEAD_TIME_S), LONGEST_DEAD_TIME_S)
-    x[10] = min(max(x[10], _SHORTEST_LAG_S), _LONGEST_LAG_S)
+    x[9] = min(max(x[9], _SHORTEST_DEAD_TIME_S), k.tuning.longest_dead_time_s)
+    x[10] = min(max(x[10], k.tuning.shortest_lag_s), k.tuning.longest_lag_s)
     return True
 
 
@@ -211,7 +225,7 @@ def predict(k: EkfConstants, s: EkfState, pending: DelayState, T: float, ago: in
     slip = braking_slip(x1, x2, p)
     if not 0.0 <= slip <= 1.0:
         raise ValueError(NOT_A_SLIP)
-    turned_sine, turned = elementary.sin_cos(th1)
+    turned_sine, turned = elementary.sin_cos(th1 / s.radius_ratio)
     mu = formula(p, slip)
     scale = x[6] + x[7] * turned + x[8] * turned_sine
     torque = settled + (M - settled) * 0.5 * (1.0 + left) + x[5]
@@ -274,23 +288,28 @@ def _widen(k: EkfTuning, P: list[Row], T: float, swing: float, x2: float) -> Non
 
 
 def correct(k: EkfConstants, s: EkfState, wheel_angle: float, road_angle: float) -> bool:
-    """Sequential correction by both angles: the second uses the covariance that the first leaves."""
+    """Sequential correction by both angles: the second uses the covariance that the first leaves.
+
+    A time between stamp and counts adds its variance times [x1 x2]'*[x1 x2] to that of the angles. Of the road's angle
+    as much of the wheel's is taken as the two errors have in common, so that what is left is independent.
+    """
     P, x = s.P, s.x
-    wheel_error = wheel_angle - x[0]
+    wheel_error = wheel_angle * s.radius_ratio - x[0]
     if not (abs(wheel_error) < _LOST_RAD and abs(road_angle - x[2]) < _LOST_RAD):
         return False  # also catches NaN
     r = P[0]
     w0, w1, w2, w3, w4, w5, w6 = r[0], r[1], r[2], r[3], r[4], r[5], r[6]
     w7, w8, w9, w10 = r[7], r[8], r[9], r[10]
     w = w0, w1, w2, w3, w4, w5, w6, w7, w8, w9, w10
-    wheel_scale = 1.0 / (w0 + k.noise)
-    r, b = P[2], w2 * wheel_scale
+    jitter, common = k.noise + k.jitter * x[1] * x[1], k.jitter * x[1] * x[3]
+    wheel_scale, taken = 1.0 / (w0 + jitter), common / jitter
+    r, b = P[2], w2 * wheel_scale + taken * (1.0 - w0 * wheel_scale)
     v0, v1, v2, v3, v4, v5 = r[0] - b * w0, r[1] - b * w1, r[2] - b * w2, r[3] - b * w3, r[4] - b * w4, r[5] - b * w5
     v6, v7, v8, v9, v10 = r[6] - b * w6, r[7] - b * w7, r[8] - b * w8, r[9] - b * w9, r[10] - b * w10
     s.surprise += k.tuning.surprise_gain * (wheel_error * math.sqrt(wheel_scale) - s.surprise)
     road_error = road_angle - x[2] - b * wheel_error
     v = v0, v1, v2, v3, v4, v5, v6, v7, v8, v9, v10
-    road_scale = 1.0 / (v2 + k.noise)
+    road_scale = 1.0 / (v2 - taken * v0 + (k.noise + k.jitter * x[3] * x[3] - taken * common))
     for i in range(11):
         a, b, r = w[i] * wheel_scale, v[i] * road_scale, P[i]
         x[i] = x[i] + a * wheel_error + b * road_error

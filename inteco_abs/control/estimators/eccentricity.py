@@ -1,4 +1,4 @@
-"""One wheel between brakings, and the error of its encoder's disc once per turn."""
+"""One wheel between brakings, and the errors of its encoder's disc once and twice per turn."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ _WAVE_SD_COUNTS: Final = 0.6
 """Standard deviation before the first count: a disc is about half a count off centre."""
 _JERK_DENSITY: Final = 1e3
 """White jerk in rad2/s5 of a wheel that is driven or coasts."""
+_UNLEARNT: Final = 400.0
+"""Samples for which the error twice per turn counts as zero: its amplitude is a fraction of a count."""
 _LEARNING_RAD_S: Final = 60.0
 """Speed above which a turn is short enough to separate the disc from the motion."""
 
@@ -29,11 +31,18 @@ class DiscConstants:
     """Variance, rad2."""
     wave: float
     """Variance of each component of the disc's error before the first count, rad2."""
+    jitter: float
+    """Variance of the time between stamp and counts, s2."""
+    learns_second: bool
+    """Whether the error twice per turn is learnt."""
 
 
-def disc_constants(count_rad: float, noise_rad: float) -> DiscConstants:
-    """Return the constants for counts of `count_rad`, with noise of standard deviation `noise_rad`."""
-    return DiscConstants(elementary.raised(noise_rad, 2), elementary.raised(_WAVE_SD_COUNTS * count_rad, 2))
+def disc_constants(
+    count_rad: float, noise_rad: float, jitter: float = 0.0, *, learns_second: bool = False
+) -> DiscConstants:
+    """Return the constants for counts of `count_rad`, with noise of standard deviation `noise_rad` and a `jitter`."""
+    noise, wave = elementary.raised(noise_rad, 2), elementary.raised(_WAVE_SD_COUNTS * count_rad, 2)
+    return DiscConstants(noise, wave, jitter, learns_second)
 
 
 @dataclass(slots=True)
@@ -53,6 +62,11 @@ class DiscState(CountState):
     sine: float = 0.0
     P: list[list[float]] = field(default_factory=lambda: [[0.0] * 5 for _ in range(5)])
     """Covariances of these five."""
+    cosine_2: float = 0.0
+    """Components of the error twice per turn, rad."""
+    sine_2: float = 0.0
+    learnt: float = 0.0
+    """Samples that these are learnt from."""
 
 
 def rolling_wheel(k: DiscConstants) -> DiscState:
@@ -76,7 +90,8 @@ def restart(k: DiscConstants, s: DiscState, angle: float, speed: float, deviatio
 def straight(s: DiscState, angle: float) -> float:
     """The wheel's angle, from the disc's `angle`, in rad."""
     sine, cosine = elementary.sin_cos(angle)
-    return angle - s.cosine * cosine - s.sine * sine
+    first = angle - s.cosine * cosine - s.sine * sine
+    return first - s.cosine_2 * (cosine * cosine - sine * sine) - s.sine_2 * (2.0 * sine * cosine)
 
 
 def follow(k: DiscConstants, s: DiscState, angle: float, dt_s: float) -> None:
@@ -88,12 +103,14 @@ def follow(k: DiscConstants, s: DiscState, angle: float, dt_s: float) -> None:
     cosine = sine = 0.0
     if s.speed > _LEARNING_RAD_S:
         sine, cosine = elementary.sin_cos(angle)
+        if k.learns_second:
+            angle = _without_second(s, angle, sine, cosine)
     e0 = p0[0] + cosine * p0[3] + sine * p0[4]
     e1 = p1[0] + cosine * p1[3] + sine * p1[4]
     e2 = p2[0] + cosine * p2[3] + sine * p2[4]
     e3 = p3[0] + cosine * p3[3] + sine * p3[4]
     e4 = p4[0] + cosine * p4[3] + sine * p4[4]
-    variance = e0 + cosine * e3 + sine * e4 + k.noise
+    variance = e0 + cosine * e3 + sine * e4 + (k.noise + k.jitter * s.speed * s.speed)
     error = (angle - s.angle - cosine * s.cosine - sine * s.sine) / variance
     s.angle += e0 * error
     s.speed += e1 * error
@@ -107,6 +124,21 @@ def follow(k: DiscConstants, s: DiscState, angle: float, dt_s: float) -> None:
         row[2] -= gain * e2
         row[3] -= gain * e3
         row[4] -= gain * e4
+
+
+def _without_second(s: DiscState, angle: float, sine: float, cosine: float) -> float:
+    """Learn the error twice per turn from what the filter, too slow for it, does not follow; the angle without it.
+
+    The mean of the deviation times cos(2*angle) is half of the cosine's component.
+    """
+    cosine_2, sine_2 = cosine * cosine - sine * sine, 2.0 * sine * cosine
+    angle -= s.cosine_2 * cosine_2 + s.sine_2 * sine_2
+    deviation = angle - s.angle - cosine * s.cosine - sine * s.sine
+    s.learnt += 1.0
+    gain = 2.0 / (_UNLEARNT + s.learnt)
+    s.cosine_2 += gain * deviation * cosine_2
+    s.sine_2 += gain * deviation * sine_2
+    return angle
 
 
 def _predict(s: DiscState, p0: Row, p1: Row, p2: Row, p3: Row, p4: Row, T: float) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar, Final
 
 from inteco_abs import elementary
@@ -42,6 +44,19 @@ _LONGEST_GAP_S: Final = 0.2
 """After a longer gap the state is worthless, and catching up would take longer than a period."""
 _SAMPLES: Final = 3
 """Samples until there is a speed."""
+_LATEST_ONSET_S: Final = 0.07
+"""Time after the first command after which the brake acts for certain."""
+_DEPARTED: Final = 0.5
+"""Mean deviation from rolling, in standard deviations, at which it acts."""
+_NOTICED_S: Final = 0.015
+"""Time from the onset to that deviation."""
+_ONSET_SD_S: Final = 0.008
+"""Standard deviation of a dead time that was found by its onset."""
+_RATIO_S: Final = 0.15
+"""Time constant of the means by which the radii are compared: their eccentric discs turn a few times in it."""
+_RATIO_FROM_RAD_S: Final = 60.0
+_SAME_RADII: Final = 0.0012
+"""Deviation of the ratio that differences of creep explain: the published radii hold."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +69,8 @@ class ObserverConstants:
     """rad"""
     points: Points
     """Points of the brake's map."""
+    ratio_gain: float
+    """Weight of a period in the means by which the radii are compared; 0 where they are not."""
 
 
 @dataclass(slots=True)
@@ -66,6 +83,14 @@ class ObserverState:
     pending: DelayState
     braking: bool = False
     samples: int = 0
+    asked_s: float = 0.0
+    """Time since the first torque of this braking was commanded."""
+    departure: float = 0.0
+    """Mean deviation of the wheel from one that still rolls, each over its standard deviation."""
+    wheel_mean: float = 0.0
+    """Mean speed of the wheel in the run-up, rad/s, and so on."""
+    road_mean: float = 0.0
+    acceleration_mean: float = 0.0
 
 
 def observe(k: ObserverConstants, s: ObserverState, sample: Sample, command: Command) -> Estimate:
@@ -82,14 +107,35 @@ def observe(k: ObserverConstants, s: ObserverState, sample: Sample, command: Com
     else:
         follow(k.disc, s.wheel, wheel_angle, dt_s)
         follow(k.disc, s.road, road_angle, dt_s)
+        if k.ratio_gain > 0.0 and drive > 0.0 and s.road.speed > _RATIO_FROM_RAD_S:
+            _compare_radii(k, s)
         if drive <= 0.0 and s.road.speed > _BRAKING_FROM_RAD_S and s.samples >= _SAMPLES:
-            s.braking = True
+            released = s.pending.torques[s.pending.newest - 1] == 0.0
+            s.braking, s.asked_s, s.departure = True, 0.0 if released else _LATEST_ONSET_S, 0.0
             begin(k.ekf, s.ekf, s.pending, s.wheel, s.road)
-    braking, x = s.braking, s.ekf.x
-    wheel_speed, road_speed = (x[1], x[3]) if braking else (s.wheel.speed, s.road.speed)
-    slip = braking_slip(wheel_speed, road_speed, k.ekf.contact.parameters)
-    seen = outlook(k.ekf.contact, k.ekf.delay, s.pending, x) if braking else None
+    braking, x, ratio = s.braking, s.ekf.x, s.ekf.radius_ratio
+    wheel_speed, road_speed = (x[1] / ratio, x[3]) if braking else (s.wheel.speed, s.road.speed)
+    slip = braking_slip(wheel_speed * ratio, road_speed, k.ekf.contact.parameters)
+    seen = outlook(k.ekf.contact, k.ekf.delay, s.pending, x, ratio) if braking else None
     return Estimate(wheel_speed, road_speed, slip, s.samples >= _SAMPLES, seen)
+
+
+def _compare_radii(k: ObserverConstants, s: ObserverState) -> None:
+    """Learn the ratio of the radii from the speeds of wheels that roll, but for the creep that drives the wheel along.
+
+    By (2), adhesion times r1*Fn accelerates the wheel against its friction, with Fn of (5); near zero slip equation
+    (8) is mu = w4*slip^p/(a + slip^p), which gives the slip of that adhesion.
+    """
+    gain = k.ratio_gain if s.road_mean > 0.0 else 1.0
+    s.wheel_mean += gain * (s.wheel.speed - s.wheel_mean)
+    s.road_mean += gain * (s.road.speed - s.road_mean)
+    s.acceleration_mean += gain * (s.wheel.acceleration - s.acceleration_mean)
+    contact, p = k.ekf.contact, k.ekf.contact.parameters
+    friction = p.d1 * s.wheel_mean + p.M10
+    mu = max(0.0, p.J1 * s.acceleration_mean + friction) * contact.sin / ((p.Mg + friction) * p.r1)
+    creep = elementary.power(p.a * mu / (p.w4 - mu), 1.0 / p.p) if mu < 0.5 * p.w4 else 0.0
+    ratio = (1.0 - creep) * s.road_mean / (k.ekf.ratio * s.wheel_mean)
+    s.ekf.radius_ratio = ratio if abs(ratio - 1.0) > _SAME_RADII else 1.0
 
 
 def _brake(
@@ -110,8 +156,39 @@ def _brake(
         restart(disc, road, road_angle, 0.0, ANY_SPEED_SD)
     elif drive > 0.0 or x[3] < _BRAKING_UNTIL_RAD_S:
         s.braking = False
-        restart(disc, wheel, wheel_angle, x[1], _HANDED_OVER_SD)
+        restart(disc, wheel, wheel_angle, x[1] / s.ekf.radius_ratio, _HANDED_OVER_SD)
         restart(disc, road, road_angle, x[3], _HANDED_OVER_SD)
+    elif k.ekf.tuning.finds_onset and s.asked_s < _LATEST_ONSET_S:
+        _find_onset(k, s, wheel_angle, road_angle, dt_s)
+
+
+def _find_onset(k: ObserverConstants, s: ObserverState, wheel_angle: float, road_angle: float, dt_s: float) -> None:
+    """Move the dead time on while the wheel still rolls although the filter expects torque.
+
+    The filter is linear about one dead time, and cannot find one that is far from it.
+    """
+    if s.pending.torques[s.pending.newest] > 0.0:
+        s.asked_s += dt_s
+    wheel, x, P = s.wheel, s.ekf.x, s.ekf.P
+    predicted = wheel.angle + dt_s * (wheel.speed + 0.5 * dt_s * wheel.acceleration)
+    variance = wheel.P[0][0] + k.disc.noise + k.disc.jitter * wheel.speed * wheel.speed
+    deviation = (straight(wheel, wheel_angle) - predicted) / math.sqrt(variance)
+    s.departure += k.ekf.tuning.surprise_gain * (deviation - s.departure)
+    if abs(s.departure) > _DEPARTED:
+        if x[9] < s.asked_s - _NOTICED_S - _ONSET_SD_S:
+            begin(k.ekf, s.ekf, s.pending, wheel, s.road)
+            x[4] *= 1.0 - elementary.exp(-_NOTICED_S / x[10])
+            x[9] = s.asked_s - _NOTICED_S
+            P[1][1] += 1.0
+            P[4][4], P[9][9] = elementary.raised(0.5 * x[4], 2), elementary.raised(_ONSET_SD_S, 2)
+        s.asked_s = _LATEST_ONSET_S
+        return
+    follow(k.disc, wheel, wheel_angle, dt_s)
+    follow(k.disc, s.road, road_angle, dt_s)
+    if s.ekf.surprise > k.ekf.tuning.surprise and x[9] < s.asked_s:
+        begin(k.ekf, s.ekf, s.pending, wheel, s.road)
+        x[4], x[9] = 0.0, s.asked_s
+        P[4][4], P[9][9] = 0.0, elementary.raised(_ONSET_SD_S, 2)
 
 
 class Observer(ObserverState):
@@ -132,31 +209,55 @@ class Observer(ObserverState):
         spread: EkfTuning | None = None,
         brake_map: BrakeMap = MEASURED_MAP,
     ) -> None:
-        spread, count_rad, pending = spread or EkfTuning(), rad_per_count(counts_per_turn), DelayLine(period_s)
-        disc = disc_constants(count_rad, spread.count_noise * count_rad)
+        spread, count_rad = spread or EkfTuning(), rad_per_count(counts_per_turn)
+        pending = DelayLine(period_s, spread.longest_dead_time_s)
+        jitter = elementary.raised(spread.latch_jitter_s, 2)
+        disc = disc_constants(count_rad, spread.count_noise * count_rad, jitter, learns_second=spread.learns_second)
         ratio, noise = parameters.r1 / parameters.r2, elementary.raised(spread.count_noise * count_rad, 2)
-        ekf = EkfConstants(WheelDynamics(parameters), pending.k, spread, ratio, noise)
+        ekf = EkfConstants(WheelDynamics(parameters), pending.k, spread, ratio, noise, jitter)
         super().__init__(rolling_wheel(disc), rolling_wheel(disc), EkfState(), pending)
-        self.k = ObserverConstants(disc, ekf, count_rad, brake_map.points)
+        gain = period_s / _RATIO_S if spread.learns_radius else 0.0
+        self.k = ObserverConstants(disc, ekf, count_rad, brake_map.points, gain)
 
     def update(self, sample: Sample, command: Command = Command.SAFE) -> Estimate:
         """Estimate at the instant of `sample`; valid from the third sample on."""
         return observe(self.k, self, sample, command)
 
 
-def _observer(config: RigConfig, parameters: RigParameters) -> Observer:
+def _observer(tuning: EkfTuning, config: RigConfig, parameters: RigParameters) -> Observer:
     own = config.model.identified
-    spread = EkfTuning(
-        dead_time_s=EkfTuning().dead_time_s if own.brake_dead_time_s is None else own.brake_dead_time_s,
-        lag_s=EkfTuning().lag_s if own.c31 is None else 1.0 / own.c31,
+    spread = replace(
+        tuning,
+        dead_time_s=tuning.dead_time_s if own.brake_dead_time_s is None else own.brake_dead_time_s,
+        lag_s=tuning.lag_s if own.c31 is None else 1.0 / own.c31,
     )
     per_turn, brake_map = config.encoders.counts_per_turn, nominal_brake_map(config.model)
     return Observer(parameters, per_turn, 1.0 / config.loop.rate_hz, spread, brake_map)
 
 
+ANY_BRAKE: Final = EkfTuning(
+    dead_time_sd_s=0.012,
+    lag_sd_s=0.01,
+    longest_dead_time_s=0.060,
+    shortest_lag_s=0.002,
+    longest_lag_s=0.120,
+    latch_jitter_s=0.00006,
+    learns_radius=True,
+    learns_second=True,
+    finds_onset=True,
+)
+"""For any brake and any tyre: what it starts from is that of `EkfTuning`, what it accepts is wider."""
+
+
 SPEC: Final = EstimatorSpec(
     "Extended Kalman filter of wheels, brake and contact, which learns the encoders' discs in the run-up",
     (),
-    _observer,
+    partial(_observer, EkfTuning()),
+    Observer,
+)
+ADAPTIVE: Final = EstimatorSpec(
+    "The observer for any brake and tyre: wide bounds for lag and dead time, latching jitter, the ratio of the radii",
+    (),
+    partial(_observer, ANY_BRAKE),
     Observer,
 )

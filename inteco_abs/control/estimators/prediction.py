@@ -12,7 +12,6 @@ from inteco_abs.rig import RigParameters
 from inteco_abs.rig.friction import formula
 from inteco_abs.signals import Prediction
 
-LONGEST_DEAD_TIME_S: Final = 0.030
 NOT_A_SLIP: Final = "the observer's speeds are not numbers"
 
 
@@ -36,12 +35,12 @@ class DelayState:
 
 
 class DelayLine(DelayState):
-    """The commands of a dead time up to 30 ms, at one a period."""
+    """The commands of a dead time up to `longest_s`, at one a period."""
 
     __slots__ = ("k",)
 
-    def __init__(self, period_s: float) -> None:
-        length = int(LONGEST_DEAD_TIME_S / period_s) + 4
+    def __init__(self, period_s: float, longest_s: float) -> None:
+        length = int(longest_s / period_s) + 4
         super().__init__([0.0] * (2 * length), length)
         self.k = DelayConstants(period_s, length)
 
@@ -94,20 +93,22 @@ def ahead(k: DelayConstants, s: DelayState, torque: float, dead_time: float, lag
     return (ticks + 1) * k.period_s, torque, total / (ticks + 1)
 
 
-def outlook(k: WheelConstants, delay: DelayConstants, pending: DelayState, state: Sequence[float]) -> Prediction:
-    """Prediction from the states of `braking_ekf`."""
+def outlook(
+    k: WheelConstants, delay: DelayConstants, pending: DelayState, state: Sequence[float], radius_ratio: float
+) -> Prediction:
+    """Prediction from the states of `braking_ekf`, in which the wheel's angle is `radius_ratio` times the real one."""
     th1, x1, x2, factor, cosine, sine = state[0], state[1], state[3], state[6], state[7], state[8]
     excess, dead_time, lag = state[5], state[9], state[10]
     horizon, then, mean = ahead(delay, pending, state[4], dead_time, lag)
     halfway = th1 + 0.5 * horizon * x1
-    turned_sine, turned = elementary.sin_cos(halfway)
+    turned_sine, turned = elementary.sin_cos(halfway / radius_ratio)
     scale = factor + cosine * turned + sine * turned_sine
     slip = braking_slip(x1, x2, k.parameters)
     if not 0.0 <= slip <= 1.0:
         raise ValueError(NOT_A_SLIP)
     wheel, road, _, _, _, _ = accelerations(k, x1, x2, mean + excess, scale * formula(k.parameters, slip))
     return Prediction(
-        th1 + horizon * (x1 + 0.5 * horizon * wheel),
+        (th1 + horizon * (x1 + 0.5 * horizon * wheel)) / radius_ratio,
         x1 + horizon * wheel,
         x2 + horizon * road,
         then,

@@ -1,0 +1,71 @@
+"""The observer for any brake and tyre: what it learns in the run-up, and the dead time that it finds."""
+
+from dataclasses import replace
+
+import pytest
+
+from inteco_abs.config import load_config
+from inteco_abs.control import control_check, make_estimator, preferred_estimator
+from inteco_abs.rig import EncoderVariation, RigVariation, draw
+from inteco_abs.signals import Command
+
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
+DRIVE = Command(1.0, 0.0)
+CONFIG = load_config(
+    settings=["controller.name=predictive-reaching", "estimator.name=adaptive-observer"],
+    checks=[control_check()],
+    follows=preferred_estimator(),
+)
+
+
+def driven(rolling, rig, name="adaptive-observer", ticks=1200):
+    """A rig that is driven from 120 rad/s on for 0.6 s."""
+    estimator = make_estimator(replace(CONFIG, estimator=replace(CONFIG.estimator, name=name)))
+    run = rolling(rig, 120.0, observer=estimator)
+    for _ in range(ticks):
+        run.tick(lambda _seen: DRIVE)
+    return run
+
+
+@pytest.mark.parametrize("ratio", [0.96, 0.99, 1.01, 1.04])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_ratio_of_the_radii_is_learnt_while_the_wheels_roll(rolling, seed, ratio):
+    rig = draw("hard", seed)
+    rig = replace(rig, parameters=replace(rig.parameters, r1=ratio * rig.parameters.r1))
+    assert driven(rolling, rig).observer.ekf.radius_ratio == pytest.approx(ratio, abs=0.0012)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_published_radii_stay_the_published_ones(rolling, seed):
+    assert driven(rolling, draw("hard", seed)).observer.ekf.radius_ratio == 1.0
+
+
+def test_only_the_adaptive_one_learns(rolling):
+    rig = RigVariation(replace(RigVariation().parameters, r1=0.0956))
+    assert driven(rolling, rig, "observer").observer.ekf.radius_ratio == 1.0
+
+
+def test_slip_and_speeds_are_those_of_the_wheel_that_is_there(rolling):
+    run = driven(rolling, RigVariation(replace(RigVariation().parameters, r1=0.0956)))
+    for _ in range(600):
+        seen = run.tick(lambda _seen: Command(0.0, 0.6))
+    assert seen.slip == pytest.approx(run.plant.slip, abs=0.003)
+    assert seen.wheel_speed_rad_s == pytest.approx(run.plant.wheel_speed, abs=0.5)
+
+
+def test_a_disc_that_errs_twice_per_turn_is_learnt(rolling):
+    disc = EncoderVariation(2048, second_harmonic_counts=1.0, second_harmonic_phase_rad=0.7)
+    run = driven(rolling, RigVariation(wheel_encoder=disc))
+    per_count = 2.0 * 3.141592653589793 / 2048
+    wheel = run.observer.wheel
+    assert 0.7 * per_count < (wheel.cosine_2**2 + wheel.sine_2**2) ** 0.5 < 1.1 * per_count
+    assert abs(run.observer.road.cosine_2) < 0.1 * per_count
+
+
+@pytest.mark.parametrize("dead_time_s", [0.02, 0.035, 0.05])
+def test_a_dead_time_far_from_the_expected_one_is_found_by_its_onset(rolling, dead_time_s):
+    run = driven(rolling, RigVariation(brake_dead_time_s=dead_time_s, brake_map="measured"))
+    for _ in range(round((dead_time_s + 0.04) * 2000)):
+        seen = run.tick(lambda _seen: Command(0.0, 0.7))
+    assert seen.outlook.brake_dead_time_s == pytest.approx(dead_time_s, abs=0.012)
