@@ -10,7 +10,7 @@ import click
 from inteco_abs.cli.options import DIFFERS, FILE, LOSSES, json_option, known_controllers
 from inteco_abs.cli.session_files import read_whole
 from inteco_abs.cli.terminal import print_json, say
-from inteco_abs.errors import ConfigError, near_match
+from inteco_abs.errors import ConfigError, describe_error, near_match
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from inteco_abs.plugins import Controllers, Origin
     from inteco_abs.sessions import Session
 
-_RECORDED: Final = "recorded"
+RECORDED: Final = "recorded"
+"""What `--controller` names for the code that the session keeps."""
 
 
 @click.command()
@@ -70,7 +71,8 @@ def replay(file: Path, controller: str | None, tolerances: tuple[str, ...], as_j
     config = session_config(session, (control_check(controllers),))
     gains = changed_gains(session, {REFERENCE: config.controller.reference_slip, **gains_in_force(config, controllers)})
     with recorded_arithmetic(session):
-        outcome = replay_session(session, build_pipeline(config, controllers), given)
+        pipeline = build_pipeline(config, controllers)
+        outcome = replay_session(session, pipeline, given)
     report = {
         "schema_version": 1,
         "session": str(file),
@@ -84,6 +86,8 @@ def replay(file: Path, controller: str | None, tolerances: tuple[str, ...], as_j
         print_json(report)
     else:
         _print_replay(file, outcome, gains)
+    if outcome.differing and pipeline.error is not None:
+        say(f"inteco-abs: the controller or estimator failed in the replay: {describe_error(pipeline.error)}", err=True)
     if left_out:
         say(f"inteco-abs: {file}: {left_out} ticks after a gap cannot be replayed", err=True)
     return DIFFERS if outcome.differing or gains else LOSSES if session.incomplete or left_out else 0
@@ -95,7 +99,7 @@ def controllers_for(session: Session, controller: str | None) -> Controllers:
 
     recorded = session.metadata.get("controller", {})
     name, package = recorded.get("name", ""), recorded.get("package", "")
-    if controller == _RECORDED:
+    if controller == RECORDED:
         return _kept_controllers(session, name)
     controllers = known_controllers(controller)
     if controller is not None:
@@ -103,7 +107,7 @@ def controllers_for(session: Session, controller: str | None) -> Controllers:
             raise ConfigError.of("--controller", f"no controller {controller!r}{near_match(controller, controllers)}")
         controllers = Controllers({name: (controllers[controller], controllers.origin(controller))})
     elif FROM_FILE in name:
-        hint = f"name that file to replay it, or {_RECORDED} to run the code that the session keeps"
+        hint = f"name that file to replay it, or {RECORDED} to run the code that the session keeps"
         problem = f"the session was run with {name!r}; {hint}"
         raise ConfigError.of("--controller", problem)
     elif package and name not in controllers:
@@ -121,7 +125,7 @@ def _kept_controllers(session: Session, name: str) -> Controllers:
 
     source = _kept_source(session)
     if FROM_FILE not in name or source is None:
-        problem = f"{_RECORDED}: {session.path} keeps no controller of a file; leave the option out"
+        problem = f"{RECORDED}: {session.path} keeps no controller of a file; leave the option out"
         raise ConfigError.of("--controller", problem)
     with time_limit():
         kind, _ = load_controller(name, source)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from inteco_abs.cli.options import FILE, LOSSES, Finite, RunOptions, json_option, known_controllers, run_options
+from inteco_abs.cli.replay import RECORDED, controllers_for
 from inteco_abs.cli.session_files import read_whole
 from inteco_abs.cli.terminal import print_json, say, show
 from inteco_abs.errors import ConfigError
@@ -33,7 +35,8 @@ _METRICS: Final = (
 @click.argument("file", type=FILE)
 @run_options(
     settings="Override a key of the session, as in controller.gains.Mk=5: of controller, estimator or model.",
-    controller="Another of `inteco-abs controllers`, or your own as file.py:Class.",
+    controller="Another of `inteco-abs controllers`, or your own as file.py:Class; `recorded` runs the code that the "
+    "session keeps.",
     estimator="Another of `inteco-abs estimators`.",
 )
 @click.option(
@@ -94,14 +97,16 @@ def what_if(
     from inteco_abs.views.figure import check_figure
     from inteco_abs.views.what_if import MOST, WhatIfTrace, draw_what_if
 
-    grid = list(_grid((*options.chosen, *options.settings), sweeps))
+    recorded = options.controller == RECORDED
+    chosen = replace(options, controller=None) if recorded else options  # the session's own name stays
+    grid = list(_grid((*chosen.chosen, *options.settings), sweeps))
     if figure is not None:
         check_figure(figure)
         if len(grid) > MOST:
             problem = f"{len(grid)} alternatives: a figure shows at most {MOST}; sweep fewer values, or omit --figure"
             raise ConfigError.of("--figure", problem)
     session = read_whole(file, read_session)
-    controllers = known_controllers(options.controller)
+    controllers = controllers_for(session, RECORDED) if recorded else known_controllers(options.controller)
     alternatives = [
         WhatIfTrace(name, *_ask(session, given, controllers, at_s, (duty, torque), closed_loop)) for name, given in grid
     ]

@@ -83,6 +83,11 @@ def test_what_a_controller_loads_is_kept_and_restored_for_a_replay(inteco_abs, t
     assert "none differ" in inteco_abs("replay", "stop.mcap", "--controller", "recorded", check=0).stdout
     refused = inteco_abs("replay", "stop.mcap", check=2).stderr
     assert "name that file to replay it, or recorded to run the code that the session keeps" in refused
+    same = inteco_abs("what-if", "stop.mcap", "--controller", "recorded", "--set", "controller.reference_slip=0.2",
+                      "--json", check=0)  # fmt: skip
+    assert json.loads(same.stdout)["alternatives"][0]["horizon_s"] is None
+    nothing = inteco_abs("what-if", "stop.mcap", "--controller", "recorded", check=2)
+    assert "nothing to compare" in nothing.stderr
 
 
 @pytest.mark.long
@@ -111,6 +116,10 @@ def test_a_run_names_a_file_that_is_read_too_late_to_be_kept(inteco_abs, tmp_pat
     run = inteco_abs("run", *QUICK, "--controller", "law.py:Late", "--out", "stop.mcap", check=0)
     assert "the controller opened duty.txt while it ran" in run.stderr
     assert "controller.zip" not in read_session(tmp_path / "stop.mcap").attachments
+    (tmp_path / "duty.txt").unlink()
+    replayed = inteco_abs("replay", "stop.mcap", "--controller", "recorded", check=4)
+    assert "failed in the replay: FileNotFoundError: " in replayed.stderr
+    assert "duty.txt" in replayed.stderr
 
 
 def made(path):
