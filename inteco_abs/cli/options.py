@@ -25,8 +25,18 @@ if TYPE_CHECKING:
 LOSSES: Final = 3
 DIFFERS: Final = 4
 INTERRUPTED: Final = 130
-FILE: Final = click.Path(path_type=Path, readable=False)
-"""Each verb checks whether it can be read, with its own message and exit code."""
+
+
+class _File(click.Path):
+    """A path; each verb checks whether it can be read, with its own message and exit code."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value == "":
+            self.fail("'': must name a file or folder.", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+FILE: Final = _File(path_type=Path, readable=False)
 _LONGEST_LINE: Final = 60
 """Characters of a verb's help line in a list."""
 _LIVE_PORT: Final = 8765

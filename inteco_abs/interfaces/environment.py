@@ -97,6 +97,8 @@ class BrakingChoices:
         """The configuration, with which the other choices go together."""
         if self.population not in POPULATIONS:
             raise ValueError(f"population {self.population!r}: must be one of {', '.join(POPULATIONS)}")
+        if not callable(self.reward):
+            raise TypeError(f"reward = {self.reward!r}: must be a function of a Truth")
         if isinstance(self.settings, str):
             raise ConfigError.of("settings", f"{self.settings!r}: must be a list, as in [{self.settings!r}]")
         if self.action not in {"duty", "torque"}:
@@ -335,7 +337,12 @@ def _named_rig(options: Info | None) -> Any:
 
 def _rig_seed(seed: int | None, rig_seed: int | None, generator: np.random.Generator) -> int:
     given = seed if rig_seed is None else rig_seed
-    return int(generator.integers(1 << 32)) if given is None else index(given)
+    if given is None:
+        return int(generator.integers(1 << 32))
+    try:
+        return index(given)
+    except TypeError:
+        raise TypeError(f"seed of a rig {given!r}: must be a whole number") from None
 
 
 def _shaped(actions: Any, shape: tuple[int, ...]) -> Floats:

@@ -41,13 +41,14 @@ _EXPORTED_ONLY: Final = "-fvisibility=hidden"
 
 
 def export_fmu(
-    out: Path, rig: RigVariation | None = None, motor: DriveMotor | None = None, *, fmi: str = FMI_VERSIONS[-1]
+    out: str | Path, rig: RigVariation | None = None, motor: DriveMotor | None = None, *, fmi: str = FMI_VERSIONS[-1]
 ) -> None:
     """Write the FMU `out` of a rig, the published one by default; its numbers are the parameters' start values.
 
     `fmi` is "2.0" or "3.0". Raises ConfigError for another or for a path where no new .fmu file can be written, and
     AbsError without a C compiler, or for a number that this version of FMI cannot hold.
     """
+    out = Path(out)
     if fmi not in FMI_VERSIONS:
         raise ConfigError.of("fmi", f"{fmi!r}: must be one of {', '.join(FMI_VERSIONS)}")
     if out.suffix != ".fmu":

@@ -54,8 +54,10 @@ class SweepFolder:
             for folder in ("part", "failed"):
                 (path / folder).mkdir(parents=True, exist_ok=True)
             if not file.exists():
-                with atomic_write(file) as part:
-                    part.write_text(plan.to_json(), encoding="utf-8")
+                with atomic_write(file) as part, part.open("w", encoding="utf-8") as stream:
+                    stream.write(plan.to_json())
+                    stream.flush()
+                    os.fsync(stream.fileno())
         except OSError as error:
             raise AbsError(f"{path}: the sweep cannot be stored there: {describe_disk(error)}") from error
         if (found := _stored_name(file)) != plan.name:

@@ -138,11 +138,11 @@ def late_files() -> list[str]:
 
 def _hook(event: str, arguments: tuple[Any, ...]) -> None:
     global _looking  # noqa: PLW0603  an audit hook cannot be removed, and must not look at its own files
-    if event != "open" or _looking or not isinstance(arguments[0], str) or arguments[2] & _WRITES:
+    if event != "open" or _looking or not isinstance(arguments[0], str | bytes | os.PathLike) or arguments[2] & _WRITES:
         return
     _looking = True
     try:
         for beside in _loaded.values():
-            beside.look(arguments[0], sys._getframe(1))  # noqa: SLF001  inspect has it only with None for other Pythons
+            beside.look(os.fsdecode(arguments[0]), sys._getframe(1))  # noqa: SLF001  inspect has it only with None for other Pythons
     finally:
         _looking = False

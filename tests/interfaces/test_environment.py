@@ -148,10 +148,12 @@ def test_a_rig_may_be_named_and_unnamed_ones_follow_from_the_seed():
     assert vector.reset(seed=[8, 2])[1]["rig"].tolist() == ["hard:8", "hard:2"]
     with pytest.raises(ValueError, match="rig_seed has 1 entries: must be 2"):
         vector.reset(options={"rig_seed": [5]})
-    with pytest.raises(TypeError, match="float"):
+    with pytest.raises(TypeError, match=r"5\.5: must be a whole number"):
         env.reset(options={"rig_seed": 5.5})
     with pytest.raises(ValueError, match=r"must be in 0\.\."):
         env.reset(options={"rig_seed": -1})
+    with pytest.raises(TypeError, match="reward = 3: must be a function of a Truth"):
+        gymnasium.make(NAME, reward=3)
     for either in (env, vector):
         with pytest.raises(ValueError, match=r"options 'rig_sed': the only option is 'rig_seed'"):
             either.reset(options={"rig_sed": 17})

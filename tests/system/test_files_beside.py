@@ -26,7 +26,7 @@ TABLE = np.load(Path(__file__).with_name("table.npy"))
 class Law:
     gains = internals = ()
     def __init__(self, setup):
-        with open(Path(__file__).parent / "tables" / "duty.json") as file:
+        with open(bytes(Path(__file__).parent / "tables" / "duty.json")) as file:
             self.duty = json.load(file)
     def update(self, estimate, dt_s):
         return BrakeDemand(min(self.duty + K * (0.2 - estimate.slip) + float(TABLE[1]), MOST))

@@ -17,6 +17,8 @@ ROWS = [
     Row("a required option", "golden add a.mcap", 2, ("Missing option '--reason'",), "inteco-abs golden add --help"),
     Row("no such choice", "run --live often", 2, ("'often'",), "'full', 'line', 'none'"),
     Row("no such format", "export a.mcap --format xls", 2, ("'xls'",), "'csv', 'npz', 'mat', 'parquet'"),
+    Row("a folder without a name", "sweep --store ''", 2, ("--store", "''"), "must name a file or folder"),
+    Row("a model without a name", "fmu ''", 2, ("OUT", "''"), "must name a file or folder"),
     Row("no such file of a model", "fmu rig.zip", 2, ("OUT: rig.zip",), "must end in .fmu"),
     Row("no such width", "figure a.mcap -o x.png --width 3", 2, ("'3'",), "'one', 'two'"),
     Row("no such shell", "completion tcsh", 2, ("'tcsh'",), "'bash', 'zsh', 'fish'"),
