@@ -43,7 +43,7 @@ _NARROWEST: Final = 80
 """Columns of the table: a narrower terminal wraps lines; cutting them would lose names and digits."""
 _MOST_SEEDS: Final = 20
 """Of rigs that are left out, in a message."""
-_SWEEP: Final = ("rigs", "controller", "estimator", "settings", "config", "no_run_up")
+_SWEEP: Final = ("rigs", "factors", "controller", "estimator", "settings", "config", "no_run_up")
 _BRAKING: Final = ("jobs", "executor")
 _RESULT: Final = ("table", "figure", "as_json")
 _NEEDLESS: Final = {
@@ -73,6 +73,11 @@ def _part(_ctx: click.Context, _param: click.Parameter, text: str | None) -> tup
     metavar="POPULATION:FIRST-LAST",
     help="Simulated rigs: samples of nominal, hard, rough, late, slow, capped or wild, or of a population in a .toml "
     "file, by seed; may be repeated.",
+)
+@click.option(
+    "--factors",
+    is_flag=True,
+    help="Also change one number of the rigs at a time, as of a brake without lag: some 50 ranges.",
 )
 @click.option(
     "--controller", multiple=True, shell_complete=controller_names, help="As for run; several by commas or repeated."
@@ -112,6 +117,7 @@ def _part(_ctx: click.Context, _param: click.Parameter, text: str | None) -> tup
 def sweep(
     ctx: click.Context,
     rigs: tuple[str, ...],
+    factors: bool,
     controller: tuple[str, ...],
     estimator: tuple[str, ...],
     settings: tuple[str, ...],
@@ -153,7 +159,8 @@ def sweep(
         return code
     if shown is not None:
         return _report(SweepFolder.open(shown, "--show"), table, figure, as_json=as_json)
-    plan = _plan(rigs, (controller, estimator, settings), config, run_up=not no_run_up)
+    draws = _draws(rigs, factors=factors)
+    plan = _plan(draws, (controller, estimator, settings), config, run_up=not no_run_up)
     if prepare and store is not None:
         made = SweepFolder.make(store, plan)
         say(f"sweep {made.plan.name[:12]}: {plan.count} stops to brake: inteco-abs sweep --work {store}", err=True)
@@ -188,20 +195,27 @@ def _require_consistent(ctx: click.Context) -> None:
         raise ConfigError(mistakes)
 
 
+def _draws(rigs: Sequence[str], *, factors: bool) -> list[SampleSet]:
+    """The ranges of draws that the command line names. Raises ConfigError."""
+    from inteco_abs.montecarlo import one_at_a_time, parse_draws
+
+    draws = [parse_draws(text) for text in dict.fromkeys(rigs)]
+    if len({(one.population, one.text) for one in draws}) > len({one.population for one in draws}):
+        raise ConfigError.of("--rigs", "two different populations have the same name; rename one of the files")
+    return [each for one in draws for each in one_at_a_time(one)] if factors else draws
+
+
 def _plan(
-    rigs: Sequence[str],
+    draws: Sequence[SampleSet],
     chosen: tuple[Sequence[str], Sequence[str], Sequence[str]],
     config: Path | None,
     *,
     run_up: bool,
 ) -> SweepPlan:
     """The sweep that the command line names; `chosen` are controllers, estimators and settings. Raises ConfigError."""
-    from inteco_abs.montecarlo import SweepPlan, combinations, parse_draws
+    from inteco_abs.montecarlo import SweepPlan, combinations
 
     controller, estimator, settings = chosen
-    draws = [parse_draws(text) for text in dict.fromkeys(rigs)]
-    if len({(one.population, one.text) for one in draws}) > len({one.population for one in draws}):
-        raise ConfigError.of("--rigs", "two different populations have the same name; rename one of the files")
     with redirect_stdout(sys.stderr):  # a controller's prints must not mix with the result
         controllers, sources = _controllers(controller)
     names = [f"controller.name={name}" for name in controller] + [f"estimator.name={name}" for name in estimator]

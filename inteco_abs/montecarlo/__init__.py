@@ -3,6 +3,7 @@
 from inteco_abs.montecarlo.batch import BatchPlant
 from inteco_abs.montecarlo.batch_run import Experiment
 from inteco_abs.montecarlo.executors import InThisProcess, LocalProcesses, cores, count_workers, named_executor
+from inteco_abs.montecarlo.factors import one_at_a_time
 from inteco_abs.montecarlo.grid import MOST_COMBINATIONS, Combination, combinations, split_list
 from inteco_abs.montecarlo.oracle import Oracle
 from inteco_abs.montecarlo.plan import SweepPlan, Unit
@@ -53,6 +54,7 @@ __all__ = [
     "cores",
     "count_workers",
     "named_executor",
+    "one_at_a_time",
     "parse_draws",
     "run_all",
     "run_stops",

@@ -30,13 +30,46 @@ _NOTE: Final = (
     "slip RMS: of the true slip, from 20 ms after band entry down to 10 rad/s\n"
     "locked, never in band: shares of stops; stop, N m/s: median distance, variation"
 )
+_NOTE_OF_RANGES: Final = (
+    "slip RMS: of the true slip, from 0.25 s after braking began down to 10 rad/s\n"
+    "locked, ended early: shares of stops; a stop that ended early has no RMS"
+)
+_FIXED: Final = "slip_rms_fixed_true"
+_MOST_RANGES: Final = 6
+"""Ranges of draws for which there is a table each."""
 _HEADINGS: Final = ("median", "p99", "max", "worst\nseed", "locked", "never\nin band", "stop\nm", "N m/s")
 
 
 def render_sweep(rows: Sequence[SweepRow]) -> RenderableType:
-    """A table for each range of draws, best configuration first."""
-    tables: list[RenderableType] = [_table(name, mine) for name, mine in _by_range(rows)]
-    return Group(*tables, Text(_NOTE, style="dim"))
+    """A table for each range of draws, best configuration first; of many ranges one for each configuration."""
+    ranges = _by_range(rows)
+    tables: list[RenderableType] = [_table(name, mine) for name, mine in ranges]
+    if len(ranges) <= _MOST_RANGES:
+        return Group(*tables, Text(_NOTE, style="dim"))
+    tables = [_table_of_ranges(name, mine) for name, mine in _by_combination(rows)]
+    return Group(*tables, Text(_NOTE_OF_RANGES, style="dim"))
+
+
+def _table_of_ranges(name: str, rows: Sequence[SweepRow]) -> Table:
+    table = Table(title=f"{name}: slip RMS from 0.25 s on", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.add_column("rigs", overflow="fold")
+    for heading in ("median", "p99", "max", "worst\nseed", "locked", "ended\nearly"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for row in rows:
+        summary, slip = row.summary, row.summary.spreads[_FIXED]
+        table.add_row(
+            Text(row.draws.name),
+            *(_number(value, ".4f") for value in (slip.median, slip.p99, slip.largest)),
+            str(row.seeds[slip.worst]),
+            f"{summary.locked:.0%}",
+            f"{summary.failed / summary.stops:.0%}",
+        )
+    return table
+
+
+def _by_combination(rows: Sequence[SweepRow]) -> list[tuple[str, list[SweepRow]]]:
+    names = dict.fromkeys(row.combination.name for row in rows)
+    return [(name, [row for row in rows if row.combination.name == name]) for name in names]
 
 
 def _table(name: str, rows: Sequence[SweepRow]) -> Table:
@@ -86,6 +119,11 @@ def draw_sweep(rows: Sequence[SweepRow], path: Path) -> None:
     from matplotlib.figure import Figure  # noqa: PLC0415  heavy, and an extra
 
     ranges = _by_range(rows)
+    if len(ranges) > _MOST_RANGES:
+        figure = Figure(figsize=(7.0, 1.5 + 0.18 * len(ranges)), layout="constrained")
+        _draw_ranges(figure.subplots(), rows)
+        save_figure(figure, path)
+        return
     names = list(dict.fromkeys(row.combination.name for row in rows))
     figure = Figure(figsize=(7.0, 1.0 + 3.6 * len(ranges)), layout="constrained")
     panels = figure.subplots(len(ranges), squeeze=False, sharex=True)[:, 0]
@@ -102,6 +140,26 @@ def draw_sweep(rows: Sequence[SweepRow], path: Path) -> None:
     panels[-1].set_xlim(left=0.0)
     panels[-1].set_xlabel("slip RMS, true [1]")
     save_figure(figure, path)
+
+
+def _draw_ranges(panel: Axes, rows: Sequence[SweepRow]) -> None:
+    """A line for each range of draws, from the median of the slip's RMS to the 99th percentile."""
+    names = list(dict.fromkeys(row.draws.name for row in rows))
+    combinations = _by_combination(rows)
+    for number, (combination, mine) in enumerate(combinations):
+        slips = [row.summary.spreads[_FIXED] for row in mine]
+        places = [names.index(row.draws.name) + 0.3 * number / len(combinations) for row in mine]
+        colour = _COLOURS[number % len(_COLOURS)]
+        # a stop that fails or never arrives is worse than any number
+        ends = [slip.p99 if math.isfinite(slip.p99) else 1.0 for slip in slips]
+        panel.hlines(places, [min(slip.median, 1.0) for slip in slips], ends, color=colour, lw=1.2)
+        panel.plot([min(slip.median, 1.0) for slip in slips], places, "o", color=colour, ms=3.0, label=combination)
+    panel.set_yticks(range(len(names)), names, fontsize="x-small")
+    panel.set_xscale("log")
+    panel.set_ylim(len(names), -1.0)
+    panel.set_xlabel("slip RMS from 0.25 s on, true [1]\nmedian (dot) to 99 %; 1 where stops failed", fontsize="small")
+    panel.grid(alpha=0.3, axis="x")
+    panel.legend(loc="upper center", bbox_to_anchor=(0.5, 1.05), frameon=False, fontsize="x-small", ncols=2)
 
 
 def _shares(panel: Axes, row: SweepRow, **look: Any) -> None:

@@ -12,10 +12,14 @@ from one_by_one import REGIMES, Scalars, assert_same, compare, compare_regime, r
 from inteco_abs.montecarlo import BatchPlant
 from inteco_abs.rig import POPULATIONS, RigVariation, draw
 
+WIDEST = ("nominal", "late", "wild")
+OTHERS = sorted(set(POPULATIONS) - set(WIDEST))
+"""Rigs that have nothing which those have not."""
+
 
 @pytest.mark.untraced
 @pytest.mark.parametrize("every", [1, 9])
-@pytest.mark.parametrize("population", POPULATIONS)
+@pytest.mark.parametrize("population", [*WIDEST, *(pytest.param(one, marks=pytest.mark.long) for one in OTHERS)])
 def test_whole_stops_of_random_rigs_agree_down_to_standstill(population, every):
     batch = compare([draw(population, seed) for seed in range(100, 103)], ticks=4400, every=every, full_from=2200)
     assert not batch.road_speed.any()

@@ -135,6 +135,7 @@ def test_a_controller_that_is_interrupted_in_a_compiled_stop_ends_the_run():
         *((controller, "moving-window") for controller in CONTROLLERS if controller != "predictive-reaching"),
         *(("reaching-law", estimator) for estimator in ESTIMATORS),
         ("predictive-reaching", "observer"),
+        ("predictive-reaching", "adaptive-observer"),
     ],
 )
 def test_stops_of_every_part_have_the_bits_of_python(controller, estimator):

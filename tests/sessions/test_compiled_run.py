@@ -83,6 +83,7 @@ def test_a_compiled_run_that_the_guard_ends_has_the_bits_of_python(both, setting
         *((controller, "moving-window") for controller in CONTROLLERS if controller != "predictive-reaching"),
         *(("reaching-law", estimator) for estimator in ESTIMATORS),
         ("predictive-reaching", "observer"),
+        ("predictive-reaching", "adaptive-observer"),
     ],
 )
 def test_compiled_runs_of_every_part_have_the_bits_of_python(both, controller, estimator, population):
