@@ -32,7 +32,7 @@ def test_rigs_of_all_kinds_agree_in_one_batch():
 
 
 @pytest.mark.untraced
-@pytest.mark.parametrize("tick_s", [0.0005, 0.0137])
+@pytest.mark.parametrize("tick_s", [0.0005, pytest.param(0.0137, marks=pytest.mark.long)])
 @pytest.mark.parametrize("regime", REGIMES)
 def test_every_regime_agrees_also_with_the_drive_on(regime, tick_s):
     compare_regime(*regime, tick_s, ticks=100)
