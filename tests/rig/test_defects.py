@@ -112,11 +112,13 @@ def test_the_next_run_up_takes_every_step_back():
 
 
 @pytest.mark.parametrize("road", [name for name in ROADS if name])
-def test_a_road_has_its_published_curve_with_a_falling_branch(road):
+def test_a_road_has_its_published_curve_which_falls_on_all_but_ice(road):
     c1, c2, c3 = ROADS[road]
     plant = Plant(RigVariation(road=road), 0.5 * 0.099 / 0.0995 * 100.0, 100.0)
     assert plant.slip == pytest.approx(0.5)
     assert plant.adhesion == pytest.approx(c1 * (1.0 - math.exp(-0.5 * c2)) - 0.5 * c3)
+    half, locked = (Plant(RigVariation(road=road), speed, 100.0).adhesion for speed in (50.0, 0.0))
+    assert locked < half or (road == "ice" and locked == pytest.approx(half))
 
 
 def test_on_snow_a_locked_wheel_stops_later_than_one_near_the_peak():
