@@ -74,7 +74,12 @@ def rig_check(table: Mapping[str, Any]) -> Iterator[ConfigIssue]:
         default = defaults(SimulationConfig)[key]
         if simulation.get(key, default) != default:
             yield ConfigIssue(f"simulation.{key}", f"{simulation[key]!r}: {name} has its own; leave one of them out")
-    yield from _counts_mistakes(table, name, draw(text or population, int(seed)).road_encoder.counts_per_turn)
+    try:
+        rig = draw(text or population, int(seed))
+    except ValueError as error:  # a factor may leave the range for some of the seeds
+        yield ConfigIssue("simulation.rig", f"{shown}: this draw is impossible: {error}; narrow its factor")
+        return
+    yield from _counts_mistakes(table, name, rig.road_encoder.counts_per_turn)
 
 
 def _counts_mistakes(table: Mapping[str, Any], name: str, counts: int) -> Iterator[ConfigIssue]:

@@ -98,7 +98,10 @@ def is_described(population: str) -> bool:
 @cache
 def _maker(population: str) -> Callable[[int], RigVariation]:
     if is_described(population):
-        return _described(tomllib.loads(population))
+        try:
+            return _described(tomllib.loads(population))
+        except RecursionError as error:
+            raise ValueError("is nested too deeply") from error
     if population not in _MAKERS:
         raise ValueError(f"population {population!r}: must be one of {', '.join(_MAKERS)}")
     return _MAKERS[population]
@@ -107,7 +110,7 @@ def _maker(population: str) -> Callable[[int], RigVariation]:
 def _described(tables: dict[str, Any]) -> Callable[[int], RigVariation]:
     """A base and the rules that change it; raises ValueError, which names the key."""
     base = tables.pop("base", PUBLISHED)
-    if base != PUBLISHED and base not in _MAKERS:
+    if not isinstance(base, str) or base not in (PUBLISHED, *_MAKERS):
         raise ValueError(f"base = {base!r}: must be one of {', '.join((PUBLISHED, *_MAKERS))}")
     make = _published if base == PUBLISHED else _MAKERS[base]
     rules = parse_rules(tables, make(0))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any, Final, NamedTuple
@@ -59,6 +60,8 @@ class Rule(NamedTuple):
         own = self._of(base)
         for end in self.choices or (self.low, self.high):
             value: Any = end
+            if isinstance(own, str) != isinstance(end, str) or (isinstance(own, str) and self.factor):
+                raise ValueError(f"{end!r}: must be {'a text' if isinstance(own, str) else 'a number'}")
             if isinstance(end, str):
                 pass
             elif isinstance(own, int):
@@ -116,7 +119,22 @@ def parse_rules(tables: Mapping[str, Any], base: RigVariation) -> tuple[Rule, ..
                 rules += [_rule(each, name, said, base) for each in _expanded(table)]
             except ValueError as error:
                 raise ValueError(f"{table}.{name}: {error}") from error
+    _require_consistent(rules, base)
     return tuple(rules)
+
+
+def _require_consistent(rules: Sequence[Rule], base: RigVariation) -> None:
+    """Raise ValueError for rules of which each is possible, but not both."""
+    named = {(rule.table, rule.name): rule for rule in rules}
+    if {("rig", LAG), ("parameters", "c31")} <= named.keys():
+        raise ValueError(f"rig.{LAG} and parameters.c31: both are the brake's lag; give one of them")
+    counts = [named.get((each, "counts_per_turn")) for each in _ENCODERS]
+    wheel, road = (
+        getattr(base, each).counts_per_turn if rule is None else rule.low
+        for each, rule in zip(_ENCODERS, counts, strict=True)
+    )
+    if wheel != road:
+        raise ValueError(f"counts_per_turn: {wheel:g} and {road:g}: must be the same; write it into [encoders]")
 
 
 def _expanded(table: str) -> tuple[str, ...]:
@@ -168,7 +186,9 @@ def _parsed(said: object) -> tuple[str, Any, float]:
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return abs(value) <= sys.float_info.max  # an int may be beyond all floats
 
 
 def _hash(text: str) -> int:

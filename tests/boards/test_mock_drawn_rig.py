@@ -186,6 +186,12 @@ def test_a_text_that_describes_no_population_is_a_mistake_of_its_key():
     assert found == {"simulation.population": "rig.supply_sag: supply_sag = 3: must be in 0..0.5"}
 
 
+def test_a_draw_that_a_factor_makes_impossible_is_named():
+    text = 'base = "hard"\\n[rig]\\nbrake_dead_time_s = { factor = 14 }'.replace('"', '\\"')
+    found = mistakes("simulation.rig=lab:1", f'simulation.population="{text}"')
+    assert "'lab:1': this draw is impossible: brake_dead_time_s = 0.2" in found["simulation.rig"]
+
+
 def test_a_value_that_is_not_text_is_left_to_the_configuration():
     assert mistakes("simulation.rig=17") == {"simulation.rig": "17: must be text"}
 
