@@ -17,7 +17,7 @@ from inteco_abs.format import TICK, TRUTH
 from inteco_abs.machine_code import is_own, record, restore
 from inteco_abs.mock_board import Device, FrontEnd, give_counts, take_command
 from inteco_abs.montecarlo.arrays import STATE, rig_rows
-from inteco_abs.rig.adhesion_curve import blended
+from inteco_abs.rig.adhesion_curve import road_adhesion
 from inteco_abs.rig.model import true_slip
 from inteco_abs.rig.plant import move_on, read_encoders
 from inteco_abs.signals import Phase
@@ -138,7 +138,7 @@ def run_ticks(
         slip = true_slip(k, s)
         truth.wheel_speed_rad_s, truth.road_speed_rad_s, truth.slip = s.wheel_speed, s.road_speed, slip
         truth.brake_torque_nm, truth.drive, truth.brake = s.brake_torque, board.drive, board.brake
-        truth.adhesion = s.grip * blended(k, k.adhesion_blend, slip)
+        truth.adhesion = s.grip * road_adhesion(k, s, slip)
         board.readings += 1
         wheel, road = read_encoders(k, s, _unsigned(board.readings))
         give_counts(board_k, board, wheel, road)

@@ -1,5 +1,6 @@
 """Compiled ticks of a virtual run, through frames, are those of the loop in Python, bit for bit."""
 
+import json
 import math
 import sys
 
@@ -40,6 +41,15 @@ def both(run, monkeypatch):
     return make
 
 
+DEFECTIVE = """base = "wild"
+[rig]
+road = "wet-cobblestone"
+later_road = "snow"
+later_road_after_s = 0.2
+adhesion_tilt = 0.3
+"""
+
+
 def assert_same(both, *settings, compiled=True, **options):
     """Every byte of ticks and truths, and the card."""
     (session, card), (python, python_card), bytes_ = both(*settings, **options)
@@ -55,9 +65,10 @@ def assert_same(both, *settings, compiled=True, **options):
     [
         (),
         ("experiment.stops=2", 'simulation.rig="rough:2"', "controller.name=boundary-layer", "estimator.name=kalman"),
+        ('simulation.rig="own:1"', f"simulation.population={json.dumps(DEFECTIVE)}"),
         ("simulation.wheel_sign=-1", "board.wheel_sign=-1", 'board.pwm_mode="8-bit"', "loop.rate_hz=1000.0"),
     ],
-    ids=["default", "two stops", "other wiring"],
+    ids=["default", "two stops", "defects and roads", "other wiring"],
 )
 def test_a_compiled_run_has_the_bits_of_python(both, settings):
     session = assert_same(both, *settings, seed=5)
