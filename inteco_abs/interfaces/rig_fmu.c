@@ -114,6 +114,7 @@ static void begin(struct rig *rig)
     const struct of_double_double lever = sin_cos(k->phi_rad);
     k->L_sin = k->L * lever._0;
     k->L_cos = k->L * lever._1;
+    k->road_changes = 1;
     k->contact_rate = contact_rate(k->road_c1 * k->road_c2, k->later_c1 * k->later_c2);
     k->noise_seed = mixed(rig->seed ^ UINT64_MAX);
     rig->s = START.s;

@@ -118,7 +118,9 @@ def move_on(
     left_s = duration_s
     while True:
         arrival_s = act_on_arrived(k, s, due_s, torques) if s.arrived < s.sent else math.inf
-        change_s = _change_road(k, s)
+        change_s = math.inf
+        if k.road_changes:
+            change_s = _change_road(k, s)
         part_s = min(left_s, min(arrival_s, change_s) - s.time_s)
         _move(k, s, drive, part_s)
         s.time_s += part_s
@@ -131,24 +133,12 @@ def move_on(
 
 def _change_road(k: Constants, s: State) -> float:
     """Set the adhesion of this time of the stop; return the time in s of its next change, or infinity."""
-    step, change_s = 0.0, math.inf
-    at_s = s.braking_since_s + k.grip_step_after_s
-    if s.time_s >= at_s - SAME_TIME_S:
-        step = k.grip_step
-    else:
-        change_s = at_s
-    if k.second_grip_step_after_s > 0.0:
-        at_s = s.braking_since_s + k.second_grip_step_after_s
-        if s.time_s >= at_s - SAME_TIME_S:
-            step = k.second_grip_step
-        else:
-            change_s = min(change_s, at_s)
+    found = (0.0, 0.0, math.inf)
     if k.third_grip_step_after_s > 0.0:
-        at_s = s.braking_since_s + k.third_grip_step_after_s
-        if s.time_s >= at_s - SAME_TIME_S:
-            step = k.third_grip_step
-        else:
-            change_s = min(change_s, at_s)
+        found = _step_of(s, found, k.third_grip_step_after_s, k.third_grip_step)
+    if k.second_grip_step_after_s > 0.0:
+        found = _step_of(s, found, k.second_grip_step_after_s, k.second_grip_step)
+    step, _, change_s = _step_of(s, found, k.grip_step_after_s, k.grip_step)
     s.grip = k.adhesion_scale * (1.0 + step)
     if k.later_c1 > 0.0:
         at_s = s.braking_since_s + k.later_road_after_s
@@ -158,6 +148,16 @@ def _change_road(k: Constants, s: State) -> float:
             s.road_c1, s.road_c2, s.road_c3 = k.road_c1, k.road_c2, k.road_c3
             change_s = min(change_s, at_s)
     return change_s
+
+
+def _step_of(s: State, found: tuple[float, float, float], after_s: float, share: float) -> tuple[float, float, float]:
+    """Return the latest of the steps that came and its time in s, and the next change's time in s; so is `found`."""
+    at_s = s.braking_since_s + after_s
+    if s.time_s < at_s - SAME_TIME_S:
+        return found[0], found[1], min(found[2], at_s)
+    if after_s >= found[1]:
+        return share, after_s, found[2]
+    return found
 
 
 def _move(k: Constants, s: State, drive: float, duration_s: float) -> None:

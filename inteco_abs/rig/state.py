@@ -62,6 +62,8 @@ class Constants(RigParameters):
     """Those of the later road; 0 for none."""
     later_c2: float
     later_c3: float
+    road_changes: bool
+    """Whether the adhesion may step, or the road change, during a stop."""
     plain_curve: bool
     """Whether the adhesion curve is that of equation (8)."""
     contact_rate: float
@@ -90,6 +92,7 @@ class Constants(RigParameters):
             later_c1=later[0],
             later_c2=later[1],
             later_c3=later[2],
+            road_changes=any(getattr(rig, name) for name in _CHANGES),
             plain_curve=not (rig.adhesion_blend or rig.adhesion_tilt or rig.road or rig.later_road),
             contact_rate=contact_rate(road[0] * road[1], later[0] * later[1]),
         )
@@ -103,6 +106,10 @@ def contact_rate(road_slope: float, later_slope: float) -> float:
     return 15.6e3 * max(1.0, road_slope / 13.8, later_slope / 13.8)
 
 
+_CHANGES = (
+    *("grip_step", "grip_step_after_s", "second_grip_step_after_s", "third_grip_step_after_s"),
+    *("later_road", "later_road_after_s"),
+)
 _PARAMETERS = tuple(field.name for field in fields(RigParameters))
 _OWN = tuple(field.name for field in fields(RigVariation) if field.name in Constants.__slots__)
 

@@ -137,7 +137,7 @@ class RigVariation:
     grip_step_after_s: float = 0.0
     """Time of the step since the first brake command without drive, 0..60 s; it ends with the next drive."""
     second_grip_step: float = 0.0
-    """Adhesion from a second step on, as a share to be added to the rig's own, -0.9..1."""
+    """As `grip_step`, of a second step; of all whose time has come, the latest holds."""
     second_grip_step_after_s: float = 0.0
     """Time of that step as of the first one, 0..60 s; 0 for none."""
     third_grip_step: float = 0.0

@@ -104,6 +104,11 @@ def test_the_road_changes_to_and_fro_within_a_stop():
     assert [braked(rig, seconds).grip for seconds in (0.05, 0.15, 0.25, 0.35)] == pytest.approx([1.0, 0.5, 1.2, 0.8])
 
 
+def test_steps_come_in_the_order_of_their_times():
+    rig = RigVariation(grip_step=-0.5, grip_step_after_s=0.3, second_grip_step=0.2, second_grip_step_after_s=0.1)
+    assert [braked(rig, seconds).grip for seconds in (0.05, 0.15, 0.35)] == pytest.approx([1.0, 1.2, 0.5])
+
+
 def test_the_next_run_up_takes_every_step_back():
     plant = braked(RigVariation(road="ice", later_road="snow", second_grip_step=0.3, second_grip_step_after_s=0.1), 0.2)
     assert (plant.grip, plant.road_c1) == (1.3, ROADS["snow"][0])
@@ -218,6 +223,6 @@ def test_latching_jitter_moves_both_wheels_by_the_same_time_and_nothing_at_rest(
     assert wheel.read(0.0, 0.0) == 0
 
 
-def test_a_road_that_nobody_knows_is_refused_by_name():
+def test_an_unknown_road_is_refused_by_name():
     with pytest.raises(ValueError, match="road = 'mud': must be one of '', 'dry-asphalt'"):
         RigVariation(road="mud")
