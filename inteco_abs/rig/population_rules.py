@@ -26,6 +26,8 @@ _SIGNED: Final = {"w1", "w2", "w3", "b2"}
 """Parameters that may be negative; all others are above 0."""
 _WAYS: Final = {"value", "range", "factor", "any"}
 _LONGEST_LAG_S: Final = 1.0
+_MOST: Final = 100.0
+"""Times the base's: beyond, a number is a slip of the unit."""
 
 
 class Rule(NamedTuple):
@@ -70,8 +72,8 @@ class Rule(NamedTuple):
                 value = int(end)
             elif self.factor:
                 value = end * own
-            if self.table == "parameters" and self.name not in _SIGNED and not value > 0.0:
-                raise ValueError(f"{end!r}: must be above 0")
+            if self.table == "parameters" and self.name not in _SIGNED and not 0.0 < value <= _MOST * own:
+                raise ValueError(f"{end!r}: must be above 0, and at most {_MOST:g} times the base's {own!r}")
             if self.name == LAG and not 0.0 <= value <= _LONGEST_LAG_S:
                 raise ValueError(f"{end!r}: must be in 0..{_LONGEST_LAG_S:g} s")
             changed(base, [(self, value)])

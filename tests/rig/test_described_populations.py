@@ -109,6 +109,7 @@ def test_wild_draws_every_defect_that_a_rig_can_have():
         ("[rig]\ncommand_delay_ticks = 1.5", "1.5: must be a whole number"),
         ('[rig]\nroad = ["", "mud"]', "rig.road: road = 'mud': must be one of"),
         ("[parameters]\nr1 = { factor = [-1, 1] }", "parameters.r1: -1: must be above 0"),
+        ("[parameters]\nr1 = 99.5", "parameters.r1: 99.5: must be above 0, and at most 100 times the base's 0.0995"),
         ("[encoders]\ncounts_per_turn = [300, 500]", "all rigs of a population have the same discs"),
         ('base = "soft"\n', "base = 'soft': must be one of published, nominal"),
         ("[rigs]\na = 1", "rigs: must be base or one of the tables rig, parameters"),
