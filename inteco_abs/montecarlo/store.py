@@ -88,7 +88,12 @@ class SweepFolder:
         facts = {_SWEEP: self.plan.name, _LEFT_OUT: json.dumps(draws.left_out), _TICKS: str(stops.ticks)}
         words = [name for name, kind in zip(table.column_names, table.schema.types, strict=True) if kind == "string"]
         # without statistics and Arrow's schema the end of the file is half as long, which is most of a small one
-        options = {"use_dictionary": words, "write_statistics": False, "store_schema": False}
+        options = {
+            "use_dictionary": words,
+            "write_statistics": False,
+            "store_schema": False,
+            "write_page_checksum": True,
+        }
         try:
             with atomic_write(self.part(unit)) as path, path.open("xb") as file:
                 with parquet.ParquetWriter(file, table.schema, compression="zstd", **options) as writer:
@@ -225,7 +230,7 @@ class SweepRow:
 
         for path in self._parts:
             try:
-                with parquet.ParquetFile(path) as file:
+                with parquet.ParquetFile(path, page_checksum_verification=True) as file:
                     if (file.metadata.metadata or {}).get(_SWEEP.encode()) != self._name:
                         raise AbsError(f"{path}: belongs to another sweep; remove it, and continue with --work")
                     found = read(file)

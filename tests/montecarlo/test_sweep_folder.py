@@ -226,6 +226,11 @@ def test_parts_that_are_damaged_or_of_another_sweep_are_named(whole, begun):
     part.write_bytes(files(whole)[part.name][:-20])
     with pytest.raises(AbsError, match=f"{part.name}: not readable; remove it"):
         begun.rows()
+    flipped = bytearray(files(whole)[part.name])
+    flipped[100] ^= 4  # among the values, which the file's own length and end do not reveal
+    part.write_bytes(flipped)
+    with pytest.raises(AbsError, match=f"{part.name}: not readable; remove it"):
+        [list(row.records()) for row in begun.rows()]
     other = SweepFolder.make(begun.path.parent / "other", SweepPlan(GRID, DRAWS, run_up=True))
     (other.path / "part" / part.name).write_bytes(files(whole)[part.name])
     with pytest.raises(AbsError, match=f"{part.name}: belongs to another sweep; remove it"):
