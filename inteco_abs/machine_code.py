@@ -9,9 +9,11 @@ from __future__ import annotations
 import ast
 import hashlib
 import inspect
+import pickle
 import re
 from collections import namedtuple
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import Field, astuple, fields, is_dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -25,10 +27,12 @@ from inteco_abs.errors import AbsError
 
 try:
     from numba import njit, typeof
+    from numba.core.caching import IndexDataCacheFile
 except ImportError as error:
     raise AbsError("many rigs at once need numba: pip install 'inteco-abs[lab]'") from error
 
 _PACKAGE: Final = Path(elementary.__file__).parent
+_DIGEST_BYTES: Final = hashlib.sha256().digest_size
 _PLACE: Final = re.compile(r'File "([^"]+)", line (\d+)')
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -94,7 +98,39 @@ def _compiled(bound: _Bound) -> Any:
     on_disk = all(file.is_file() for file in files)  # a user's source may come without its file
     content = b"".join(file.read_bytes() for file in files) if on_disk else b""
     copy.__qualname__ = f"{_name(bound)}_{hashlib.sha256(content).hexdigest()[:16]}"
-    return njit(cache=on_disk, nogil=True, error_model="numpy")(copy)
+    native: Any = njit(cache=on_disk, nogil=True, error_model="numpy")(copy)
+    if on_disk and native is not copy:  # as it is where NUMBA_DISABLE_JIT is set
+        native._cache._cache_file.__class__ = _CheckedFiles  # noqa: SLF001  numba offers no other place for a check
+    return native
+
+
+class _CheckedFiles(IndexDataCacheFile):
+    """Numba's files of machine code with a digest each: a damaged one counts as missing, and is made once more.
+
+    Numba would load it, and the process might crash.
+    """
+
+    def _dump(self, content: object) -> bytes:
+        data: bytes = super()._dump(content)
+        return data + hashlib.sha256(data).digest()  # behind its end, where pickle does not read
+
+    def _load_data(self, name: str) -> Any:
+        if not _is_whole(Path(self._data_path(name)).read_bytes()):
+            raise FileNotFoundError(name)
+        return super()._load_data(name)
+
+    def _load_index(self) -> Any:
+        with suppress(Exception):  # whatever bytes there are
+            with open(self._index_path, "rb") as file:  # noqa: PTH123  as numba does
+                pickle.load(file)  # noqa: S301  the version, as numba wrote it
+                whole = _is_whole(file.read())
+            if whole:
+                return super()._load_index()
+        return {}
+
+
+def _is_whole(data: bytes) -> bool:
+    return hashlib.sha256(data[:-_DIGEST_BYTES]).digest() == data[-_DIGEST_BYTES:]
 
 
 def _without_parameters(function: FunctionType, keywords: Sequence[tuple[str, _Bound]]) -> FunctionType:

@@ -35,6 +35,18 @@ def test_machine_code_is_kept_until_any_file_that_it_comes_from_changes(result_o
     assert result_of("def inner(x):\n    return x + 10.0\n") == (12.0, False)
 
 
+@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
+def test_damaged_machine_code_is_made_once_more(result_of, tmp_path, suffix):
+    inner = "def inner(x):\n    return x + 1.0\n"
+    result_of(inner)
+    [file] = (file for file in tmp_path.rglob(f"*.{suffix}") if "outer" in file.name)
+    whole = file.read_bytes()
+    for damaged in (whole[:200] + bytes([whole[200] ^ 4]) + whole[201:], whole[:-20], b""):
+        file.write_bytes(damaged)
+        assert result_of(inner) == (3.0, False)
+    assert result_of(inner) == (3.0, True)
+
+
 def test_compiled_functions_of_the_arithmetic_have_the_bits_of_python():
     pick = random.Random(1)
     drawn = [(pick.uniform(-750.0, 750.0), pick.uniform(-30.0, 30.0)) for _ in range(1000)]
