@@ -273,12 +273,13 @@ def _say_braked(braked: Braked, jobs: int, elapsed_s: float) -> None:
 
 def _report(folder: SweepFolder, table: Path | None, figure: Path | None, *, as_json: bool) -> int:
     """Print and write the result, as far as there is one; the exit code."""
-    rows = folder.rows()
-    done = sum(row.stops + len(row.left_out) for row in rows)
+    found = folder.rows()
+    rows = [row for row in found if row.stops]
+    done = sum(row.stops + len(row.left_out) for row in found)
     if done < folder.plan.count:
         say(f"inteco-abs: {done} of {folder.plan.count} stops so far", err=True)
     _report_given_up(folder)
-    _report_left_out(rows)
+    _report_left_out(found)
     # before the files: one that cannot be written must not cost the result
     if as_json:
         print_json({"schema_version": 1, "rows": [row.facts() for row in rows]})
@@ -340,8 +341,8 @@ def _report_left_out(rows: Sequence[SweepRow]) -> None:
             more = f" and {count - _MOST_SEEDS} more" if count > _MOST_SEEDS else ""
             seeds = ", ".join(map(str, row.left_out[:_MOST_SEEDS])) + more
             say(
-                f"inteco-abs: {row.draws.name}: {count} of {all_rigs} rigs are left out: they cannot hold slip "
-                f"0.2 with a margin of 0.5 N m: seeds {seeds}",
+                f"inteco-abs: {row.draws.name}: {count} of {all_rigs} rigs are left out: they are impossible, or "
+                f"cannot hold slip 0.2 with a margin of 0.5 N m: seeds {seeds}",
                 err=True,
             )
 

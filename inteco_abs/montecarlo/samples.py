@@ -54,7 +54,10 @@ class SampleSet:
 
     @property
     def left_out(self) -> tuple[int, ...]:
-        """Seeds of rigs of `capped` or one's own population that cannot hold slip 0.2 with 0.5 N m to spare."""
+        """Seeds of rigs of `capped` or one's own population that cannot hold slip 0.2 with 0.5 N m to spare.
+
+        So are those for which the rules of one's own population make an impossible rig.
+        """
         return tuple(seed for seed in range(self.first, self.last + 1) if seed not in self._drawn)
 
     @cached_property
@@ -63,7 +66,12 @@ class SampleSet:
 
     def _strong(self) -> Iterator[tuple[int, RigVariation]]:
         for seed in range(self.first, self.last + 1):
-            rig = draw(self.text or self.population, seed)
+            try:
+                rig = draw(self.text or self.population, seed)
+            except ValueError:
+                if not self.text:
+                    raise
+                continue
             if not (self.text or self.population == _NEEDY) or torque_margin(rig, HELD_SLIP) >= SPARE_NM:
                 yield seed, rig
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import cached_property
@@ -37,6 +38,10 @@ _LEFT_OUT: Final = "inteco_abs.left_out"
 """Seeds of rigs that do not count, as JSON."""
 _TICKS: Final = "inteco_abs.ticks"
 """Number of decisions."""
+_END: Final = b"PAR1"
+"""The last bytes of a Parquet file."""
+_STALE_S: Final = 86_400.0
+"""Age at which an unfinished file belongs to nobody: writing one takes seconds, and clocks of computers differ."""
 
 
 class SweepFolder:
@@ -79,6 +84,22 @@ class SweepFolder:
     def part(self, unit: Unit) -> Path:
         """The file of a unit, which exists if the unit was braked."""
         return self.path / "part" / f"{unit.name}.parquet"
+
+    def has(self, unit: Unit) -> bool:
+        """Whether the file of a unit is there with its end; one that is empty or cut short is braked again."""
+        try:
+            with self.part(unit).open("rb") as file:
+                file.seek(-len(_END), os.SEEK_END)
+                return file.read() == _END
+        except OSError:  # missing, too short or not readable: another takes its place
+            return False
+
+    def remove_stale(self) -> None:
+        """Remove what processes that were killed left unfinished, a day ago or more."""
+        for file in (*self.path.glob("*.part"), *self.path.glob("*/*.part")):
+            with suppress(OSError):  # another process removes it, too
+                if time.time() - file.stat().st_mtime > _STALE_S:
+                    file.unlink()
 
     def write(self, unit: Unit, draws: SampleSet, stops: StopResults) -> None:
         """Store the results of a unit. Raises AbsError if the disk fails."""
@@ -139,7 +160,7 @@ class SweepFolder:
                 continue
             except (OSError, ValueError, LookupError, TypeError) as error:
                 raise AbsError(f"{file}: not readable; remove it: {error}") from error
-            if not self.part(unit).exists():
+            if not self.has(unit):
                 problems[unit.name] = problem
         return problems
 
@@ -147,9 +168,9 @@ class SweepFolder:
         return self.path / "failed" / f"{unit.name}.json"
 
     def rows(self) -> list[SweepRow]:
-        """A row for each configuration and range of draws of which something was braked."""
+        """A row for each configuration and range of draws of which something was braked or left out."""
         rows = [SweepRow(self, draws, number) for draws, number in self.plan.rows()]
-        return [row for row in rows if row.stops]
+        return [row for row in rows if row.stops or row.left_out]
 
 
 def _stored_name(file: Path) -> str:
@@ -185,7 +206,7 @@ class SweepRow:
 
     @property
     def left_out(self) -> list[int]:
-        """Seeds of rigs of `capped` that cannot hold slip 0.2 with 0.5 N m to spare."""
+        """Seeds as of `SampleSet.left_out`."""
         return self._facts[1]
 
     @property

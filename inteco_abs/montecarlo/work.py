@@ -42,6 +42,7 @@ def work(
     It has `ahead` units at a time. One that fails three times, as by the death of its worker, is listed in the folder
     and left. Raises at once an AbsError of a unit, which would meet the others, too, and for an executor that broke.
     """
+    folder.remove_stale()
     return _Work(folder, executor, part, progress).done(ahead)
 
 
@@ -77,7 +78,7 @@ class _Work:
         return (unit for number, unit in enumerate(self._folder.plan.units()) if number % count == index - 1)
 
     def _missing(self) -> Iterator[Unit]:
-        return (unit for unit in self._units() if not self._folder.part(unit).exists())
+        return (unit for unit in self._units() if not self._folder.has(unit))
 
     def _submit(self, missing: Iterable[tuple[Unit, int]], ahead: int) -> bool:
         """Hand units over; whether any is not done."""
@@ -116,7 +117,7 @@ class _Work:
 def brake_unit(path: str, name: str, unit: Unit) -> Braked:
     """Brake one unit of the sweep `name` in the folder at `path`, unless that was done. In any process."""
     folder = _opened(path, name)
-    if folder.part(unit).exists():
+    if folder.has(unit):
         return Braked()
     draws, experiment = folder.plan.experiment(unit)
     if experiment.rigs:

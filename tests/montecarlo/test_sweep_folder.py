@@ -2,8 +2,11 @@
 
 import io
 import json
+import os
 import resource
+import shutil
 import sys
+import time
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -219,6 +222,33 @@ def test_the_description_of_another_program_is_refused(begun, monkeypatch):
 def test_a_folder_without_a_description_is_no_sweep(tmp_path):
     with pytest.raises(ConfigError, match=r"--show: .*: not the folder of a sweep: sweep\.json: No such file"):
         SweepFolder.open(tmp_path, "--show")
+
+
+def test_parts_that_are_empty_or_cut_short_are_braked_again_and_what_killed_processes_left_is_removed(whole, begun):
+    begun.path.joinpath("part").rmdir()
+    shutil.copytree(whole.path / "part", begun.path / "part")
+    empty, cut = (begun.path / "part" / f"{name}.parquet" for name in ("0-hard-0-10", "1-hard-20-5"))
+    empty.write_bytes(b"")
+    cut.write_bytes(cut.read_bytes()[:-20])
+    left = [begun.path / name for name in ("sweep.json.1f.part", "part/0-hard-0-10.parquet.2f.part")]
+    for file in left:
+        file.touch()
+    assert work(begun, InThisProcess()).stops == 15
+    assert all(file.exists() for file in left)  # of the last day: someone may be writing them
+    for file in left:
+        os.utime(file, (0, time.time() - 90_000))
+    assert work(begun, InThisProcess()).stops == 0
+    assert files(begun) == files(whole)
+    assert not any(file.exists() for file in left)
+
+
+def test_a_draw_that_is_impossible_is_left_out_and_the_others_of_its_unit_are_braked(tmp_path):
+    (tmp_path / "long.toml").write_text('base = "hard"\n[rig]\nbrake_dead_time_s = { factor = 15 }\n')
+    draws = parse_draws(f"{tmp_path / 'long.toml'}:0-3")  # the second would have more dead time than any brake
+    folder = SweepFolder.make(tmp_path / "sweep", SweepPlan(GRID[:1], [draws], run_up=False))
+    assert work(folder, InThisProcess())[::2] == (3, 0)
+    (row,) = folder.rows()
+    assert (row.seeds.tolist(), row.left_out) == ([0, 2, 3], [1])
 
 
 def test_parts_that_are_damaged_or_of_another_sweep_are_named(whole, begun):
