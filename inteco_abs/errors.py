@@ -208,9 +208,15 @@ def place_in(error: BaseException, file: str) -> str:
     return f", line {lines[-1]}" if lines else ""
 
 
+def line_of(file: str, line: int | None) -> str:
+    """A line of a file, as in messages."""
+    return f"{Path(file).name}, line {line}"
+
+
 def describe_error(error: BaseException) -> str:
-    """Describe an error by type, text and place."""
+    """Describe an error by type, text and place: where its note says, or where it was raised."""
     frames = traceback.extract_tb(error.__traceback__)
-    place = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
+    raised = [line_of(frames[-1].filename, frames[-1].lineno)] if frames else []
+    place = "".join(f" ({each})" for each in getattr(error, "__notes__", raised)[-1:])
     text = str(error)
     return f"{type(error).__name__}: {text if len(text) <= _LONGEST else text[:_LONGEST] + '...'}{place}"

@@ -21,10 +21,10 @@ from inteco_abs.config import RigConfig, apply_setting, parse_config
 from inteco_abs.control import (
     Controller,
     control_check,
+    demand_of,
     make_controller,
     make_estimator,
     preferred_estimator,
-    recordable,
 )
 from inteco_abs.errors import ConfigError, ConfigIssue, SessionError, describe_error
 from inteco_abs.quantities import finite
@@ -201,7 +201,7 @@ class _Alternative:
         estimate = self._estimator.update(sample, command)
         demand = _NO_DEMAND
         if before is Phase.BRAKING:
-            demand = self._held = recordable(self._controller.update(estimate, sample.dt_s))
+            demand = self._held = demand_of(self._controller, estimate, sample.dt_s)
         elif before is Phase.STOPPED and phase is Phase.STOPPED:
             demand = self._held
         elif before is Phase.STOPPED:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from contextlib import nullcontext, redirect_stdout
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -29,7 +30,7 @@ from inteco_abs.cli.terminal import print_json, say, show, stops_progress
 from inteco_abs.errors import ConfigError, ConfigIssue
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
     from concurrent.futures import Executor
 
     from inteco_abs.montecarlo import Braked, Combination, SampleSet, SweepFolder, SweepPlan, SweepRow
@@ -256,10 +257,31 @@ def _brake(
         else:
             jobs = min(jobs or cores(), -(-plan.count // _FEWEST_STOPS))
             where = LocalProcesses(jobs) if jobs > 1 else InThisProcess()
-        with where, stops_progress() as progress:
+        with _ended_by_sigterm(), where, stops_progress() as progress:
             braked = work(folder, where, _AHEAD * jobs if jobs > 1 else 1, part, progress)
     _say_braked(braked, jobs, time.monotonic() - began)
     return LOSSES if braked.failed else 0
+
+
+@contextmanager
+def _ended_by_sigterm() -> Iterator[None]:
+    """SIGTERM ends the sweep as Ctrl-C does, so that its processes are ended in order; only the exit code differs."""
+    terminated = False
+
+    def interrupt(*_: object) -> None:
+        nonlocal terminated
+        terminated = True
+        raise KeyboardInterrupt  # of which no controller makes an error of its stop
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    except KeyboardInterrupt:
+        if terminated:
+            sys.exit(128 + signal.SIGTERM)
+        raise
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _say_braked(braked: Braked, jobs: int, elapsed_s: float) -> None:

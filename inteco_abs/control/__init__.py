@@ -37,7 +37,7 @@ from inteco_abs.control.factory import (
 )
 from inteco_abs.control.functions import Function, finite_demand, finite_estimate, function_of
 from inteco_abs.control.guard import Guard
-from inteco_abs.control.phase_machine import REST_COUNTS, PhaseMachine, advance_phase, recordable
+from inteco_abs.control.phase_machine import REST_COUNTS, PhaseMachine, advance_phase, demand_of
 from inteco_abs.control.pipeline import OVER, DecisionState, Pipeline, admit_request
 from inteco_abs.control.slip_dynamics import BrakingModel, reaching_law_torque, reaching_time_bound
 from inteco_abs.control.wheel_dynamics import WheelDynamics
@@ -80,6 +80,7 @@ __all__ = [
     "build_pipeline",
     "config_of_stop",
     "control_check",
+    "demand_of",
     "finite_demand",
     "finite_estimate",
     "function_of",
@@ -90,5 +91,4 @@ __all__ = [
     "preferred_estimator",
     "reaching_law_torque",
     "reaching_time_bound",
-    "recordable",
 ]

@@ -11,6 +11,7 @@ from typing import Final
 from inteco_abs.config import RigConfig
 from inteco_abs.control.controllers import Controller
 from inteco_abs.control.count_speed import Window, WindowConstants, empty_window, mean_speeds, window_constants
+from inteco_abs.errors import line_of
 from inteco_abs.signals import BrakeDemand, Estimate, Phase, Reason, Sample
 
 _NONE: Final = Reason.NONE
@@ -111,7 +112,7 @@ class PhaseMachine(MachineState):
         """Advance by one sample; the request is in the state."""
         phase = self.phase
         if phase is _BRAKING:
-            self.last_demand = recordable(self.controller.update(estimate, sample.dt_s))
+            self.last_demand = demand_of(self.controller, estimate, sample.dt_s)
         advance_phase(self.k, self, sample, self.last_demand.brake)
         if phase is _STOPPED and self.phase is Phase.IDLE:
             self.last_demand, self.controller = _NO_DEMAND, deepcopy(self.controller_as_made)
@@ -170,18 +171,30 @@ def _wait(k: MachineConstants, s: MachineState, time_ns: int, elapsed_s: float, 
         s.phase, s.since_ns = _ARMED if s.phase == _IDLE else _SPIN_UP, time_ns
 
 
-def recordable(demand: BrakeDemand) -> BrakeDemand:
-    """The demand of a user's controller with every logged value as a float; numpy's numbers are converted.
+def demand_of(controller: Controller, estimate: Estimate, dt_s: float) -> BrakeDemand:
+    """What a user's controller demands, with every logged value as a float; numpy's numbers are converted.
 
-    A duty that is not a number becomes NaN, at which the guard trips. Raises TypeError or ValueError for other values.
+    A duty that is not a number becomes NaN, at which the guard trips. Raises TypeError or ValueError for other values,
+    with the place of the controller's `update` as a note.
     """
+    demand = controller.update(estimate, dt_s)
+    if type(demand) is BrakeDemand:
+        brake, torque, switching, internals = demand
+        if type(brake) is type(torque) is type(switching) is float and tuple(map(type, internals)) == _FOUR_FLOATS:
+            return demand
+    try:
+        return _recordable(demand)
+    except (TypeError, ValueError) as error:
+        if (code := getattr(controller.update, "__code__", None)) is not None:
+            error.add_note(line_of(code.co_filename, code.co_firstlineno))
+        raise
+
+
+def _recordable(demand: BrakeDemand) -> BrakeDemand:
     if type(demand) is not BrakeDemand:
         raise TypeError(f"update() must return a BrakeDemand, not {demand!r}")
     brake, torque, switching, internals = demand
-    if type(brake) is float:
-        if type(torque) is float and type(switching) is float and tuple(map(type, internals)) == _FOUR_FLOATS:
-            return demand
-    else:
+    if type(brake) is not float:
         brake = float(brake) if isinstance(brake, _NUMBERS) and not isinstance(brake, bool) else math.nan
     c0, c1, c2, c3 = map(float, internals)
     return BrakeDemand(brake, float(torque), float(switching), (c0, c1, c2, c3))

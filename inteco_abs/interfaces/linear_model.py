@@ -60,7 +60,7 @@ def linearised(parameters: RigParameters, slip: float, road_speed: float) -> Lin
     ValueError for a point outside these ranges, and where the brake would need a duty outside `u0`..1 to hold the slip.
     """
     if not (0.0 < slip < 1.0 and 0.0 < road_speed < math.inf):
-        raise ValueError(f"slip {slip!r}, road speed {road_speed!r} rad/s: must be within 0..1, and above 0")
+        raise ValueError(f"slip {slip!r}, road speed {road_speed!r} rad/s: must be above 0 and below 1, and above 0")
     f, g = BrakingModel(parameters).terms(slip, road_speed)
     torque = -f / g
     duty = brake_duty(torque, parameters)

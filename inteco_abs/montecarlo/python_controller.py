@@ -11,7 +11,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from inteco_abs.control import Controller, recordable
+from inteco_abs.control import Controller, demand_of
 from inteco_abs.signals import BrakeDemand, Estimate, Prediction
 
 _NUMBERS: Final = 6 + len(Prediction._fields)
@@ -85,7 +85,7 @@ class PythonController(_State):
             wheel_speed, road_speed, slip, valid, dt_s, predicted, *prediction = numbers
             outlook = Prediction(*prediction) if predicted else None
             estimate = Estimate(wheel_speed, road_speed, slip, valid > 0.0, outlook)
-            return recordable(self._controller.update(estimate, dt_s)).brake
+            return demand_of(self._controller, estimate, dt_s).brake
         except BaseException as error:  # noqa: BLE001  ctypes would print and forget it
             self.error = error
             return math.nan

@@ -103,7 +103,7 @@ def test_every_estimator_with_every_controller_has_the_bits_of_python(estimator)
     [
         (Failing, "RuntimeError: after 500 ticks (ensemble_parts.py, line "),
         (NotANumber, "not a finite number"),
-        (NotADemand, "update() must return a BrakeDemand, not 0."),
+        (NotADemand, "(ensemble_parts.py, line "),
     ],
 )
 def test_a_controller_that_fails_in_a_compiled_stop_ends_it_as_in_python(kind, words):

@@ -184,8 +184,18 @@ class Law:
 """Waits when two units are done."""
 
 
-@pytest.mark.parametrize("jobs", [pytest.param(1, marks=pytest.mark.long), 2])
-def test_ctrl_c_ends_busy_workers_and_the_same_command_continues(inteco_abs, command_path, tmp_path, jobs):
+@pytest.mark.parametrize(
+    ("jobs", "number", "code"),
+    [
+        (2, signal.SIGINT, 130),
+        pytest.param(1, signal.SIGINT, 130, marks=pytest.mark.long),
+        pytest.param(2, signal.SIGTERM, 143, marks=pytest.mark.long),
+        pytest.param(1, signal.SIGTERM, 143, marks=pytest.mark.long),
+    ],
+)
+def test_a_signal_ends_busy_workers_and_the_same_command_continues(
+    inteco_abs, command_path, tmp_path, jobs, number, code
+):
     (tmp_path / "law.py").write_text(WAITING)
     command = ("sweep", *QUICK, "--rigs", "hard:5-44", "--controller", "law.py:Law", "--jobs", str(jobs))
     command = (*command, "--store", "folder", "--json")
@@ -194,10 +204,10 @@ def test_ctrl_c_ends_busy_workers_and_the_same_command_continues(inteco_abs, com
     )
     while sweep.poll() is None and not (tmp_path / "waiting").exists():
         time.sleep(0.02)
-    sweep.send_signal(signal.SIGINT)
+    sweep.send_signal(number)
     stdout, stderr = sweep.communicate(timeout=60)
-    assert (sweep.returncode, stdout) == (130, ""), stderr
-    assert "Traceback" not in stderr
+    assert (sweep.returncode, stdout) == (code, ""), stderr
+    assert not {"Traceback", "leaked"} & set(stderr.split())
     assert 2 <= len(list((tmp_path / "folder" / "part").iterdir())) <= 4
     (tmp_path / "go").touch()
     again = inteco_abs(*command, check=0)

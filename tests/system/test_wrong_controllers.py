@@ -66,8 +66,10 @@ NONE = [
 IN_A_RUN = [
     Row("raises", RUN, 5, ("law.py, line 8", "my own mistake"), "drive and brake are off after tick",
         law(asked="raise ZeroDivisionError('my own mistake')")),
-    Row("returns nothing", RUN, 5, ("not None",), "update() must return a BrakeDemand", law(asked="pass")),
-    Row("returns a number", RUN, 5, ("not 0.6",), "update() must return a BrakeDemand", law(asked="return 0.6")),
+    Row("returns nothing", RUN, 5, ("law.py, line 7", "not None"), "update() must return a BrakeDemand",
+        law(asked="pass")),
+    Row("returns a number", RUN, 5, ("law.py, line 7", "not 0.6"), "update() must return a BrakeDemand",
+        law(asked="return 0.6")),
     Row("asks for no number", RUN, 5, ("is not a finite number",), "off after tick",
         law(asked="return BrakeDemand(float('nan'))")),
     Row("exits", RUN, 5, ("law.py, line 8", "SystemExit"), "off after tick", law(asked="sys.exit(3)")),

@@ -25,7 +25,7 @@ from copy import deepcopy
 from pathlib import Path
 from typing import IO, Any, Final, cast
 
-from inteco_abs.control import CONTROLLERS, Controller, Gain, Setup, recordable
+from inteco_abs.control import CONTROLLERS, Controller, Gain, Setup, demand_of
 from inteco_abs.errors import BoardError, ConfigError, ConfigIssue, ControllerError, describe_error
 from inteco_abs.plugins import FROM_FILE, LOADING_MOST_S, Controllers, late_files, load_controller, with_files
 from inteco_abs.realtime.heartbeat import NO_MORE
@@ -262,11 +262,11 @@ def _answer(requests: int, replies: int, controller: Controller) -> None:
         while request := read(requests, _MOST_BYTES):
             if len(request) == _ESTIMATE.size:
                 number, which, dt_s, wheel, road, slip, valid = _ESTIMATE.unpack(request)
-                answer = _demand(controllers[which].update(Estimate(wheel, road, slip, valid), dt_s))
+                answer = _demand(controllers[which], Estimate(wheel, road, slip, valid), dt_s)
             elif len(request) == _OBSERVED.size:
                 number, which, dt_s, wheel, road, slip, valid, *prediction = _OBSERVED.unpack(request)
                 estimate = Estimate(wheel, road, slip, valid, Prediction(*prediction))
-                answer = _demand(controllers[which].update(estimate, dt_s))
+                answer = _demand(controllers[which], estimate, dt_s)
             else:
                 number, which = _COPY.unpack(request)
                 controllers = {which: controllers[which], number: deepcopy(controllers[which])}
@@ -284,7 +284,7 @@ def _write(replies: int, answer: object) -> None:
     os.write(replies, json.dumps(answer, default=float).encode() + b"\n")
 
 
-def _demand(demand: BrakeDemand) -> tuple[float, ...]:
-    brake, torque, switching, (c0, c1, c2, c3) = recordable(demand)
+def _demand(controller: Controller, estimate: Estimate, dt_s: float) -> tuple[float, ...]:
+    brake, torque, switching, (c0, c1, c2, c3) = demand_of(controller, estimate, dt_s)
     # the guard judges what is not a number
     return brake if type(brake) is float else math.nan, torque, switching, c0, c1, c2, c3
