@@ -1,0 +1,132 @@
+"""The order of the phases, and when motors may be on, proven by an SMT solver over the phase machine's source."""
+
+from functools import cache
+
+import pytest
+import z3
+from symbolic import ZERO, Abstract, Execution, changed, copied, lift, refuted, unknown
+
+from inteco_abs.control import admit_request, advance_phase, guard, phase_machine
+from inteco_abs.control.phase_machine import MachineConstants, MachineState
+from inteco_abs.signals import Phase, Reason, Sample
+
+pytestmark = pytest.mark.untraced
+
+NONE = int(Reason.NONE)
+NEXT = {
+    Phase.IDLE: {Phase.IDLE, Phase.ARMED},
+    Phase.ARMED: {Phase.ARMED, Phase.SPIN_UP},
+    Phase.SPIN_UP: {Phase.SPIN_UP, Phase.BRAKING},
+    Phase.BRAKING: {Phase.BRAKING, Phase.STOPPED},
+    Phase.STOPPED: {Phase.STOPPED, Phase.DONE, Phase.IDLE},
+    Phase.DONE: {Phase.DONE},
+    Phase.FAULT: {Phase.FAULT},
+}
+
+
+class Run:
+    """One tick of phase machine and guard, on any state, demand, sample and request to stop."""
+
+    def __init__(self, change):
+        k, machine, sample = unknown(MachineConstants, "k"), unknown(MachineState, "machine"), unknown(Sample, "sample")
+        limits, state = unknown(guard.GuardConstants, "limits"), unknown(guard.GuardState, "guard")
+        self.k, self.before, self.guard_before = k, copied(machine), copied(state)
+        self.good = sample.board_flags == 0
+        self.demand = unknown(float, "demand")
+        execution = Execution(Abstract(), change)
+        execution.call(advance_phase, k, machine, sample, self.demand, given=self.good)
+        self.advanced = copied(machine)
+        execution.call(admit_request, limits, state, machine, sample, unknown(int, "stop_request"))
+        self.after, self.guard = machine, state
+        self.limits = [z3.And(limit > ZERO, limit <= lift(1.0)) for limit in (limits.drive_limit, limits.brake_limit)]
+
+
+@cache
+def stepped(change=()):
+    return Run(change)
+
+
+def is_in(phase, *phases):
+    return z3.Or(*(phase == int(each) for each in phases))
+
+
+def asks_nothing(s):
+    return z3.And(z3.fpIsZero(s.drive_request), z3.fpIsZero(s.brake_request))
+
+
+def over_is_off(machine, state):
+    """What holds between two ticks: after the end nothing is requested, or the guard has tripped."""
+    over = z3.Implies(machine.phase == int(Phase.DONE), asks_nothing(machine))
+    failed = z3.Implies(machine.phase == int(Phase.FAULT), state.reason != NONE)
+    return z3.And(over, failed)
+
+
+def phases_follow_their_order(run):
+    begun = [run.good, is_in(run.before.phase, *NEXT)]
+    steps = (z3.Implies(run.before.phase == int(one), is_in(run.advanced.phase, *NEXT[one])) for one in NEXT)
+    return z3.And(*steps), begun
+
+
+def the_drive_is_requested_in_spin_up_only(run):
+    claim = z3.Implies(run.before.phase != int(Phase.SPIN_UP), z3.fpIsZero(run.advanced.drive_request))
+    return claim, [run.good]
+
+
+def the_brake_is_requested_while_braking_and_holding_only(run):
+    allowed = is_in(run.before.phase, Phase.BRAKING, Phase.STOPPED)
+    return z3.Implies(z3.Not(allowed), z3.fpIsZero(run.advanced.brake_request)), [run.good]
+
+
+def never_are_both_requested(run):
+    both = (run.advanced.drive_request, run.advanced.brake_request)
+    return z3.Or(*map(z3.fpIsZero, both)), [run.good]
+
+
+def between_driving_and_braking_is_a_tick_without_either(run):
+    begins = z3.And(run.before.phase == int(Phase.SPIN_UP), run.advanced.phase == int(Phase.BRAKING))
+    return z3.Implies(begins, asks_nothing(run.advanced)), [run.good]
+
+
+def at_the_end_only_safe_passes(run):
+    over = is_in(run.after.phase, Phase.DONE, Phase.FAULT)
+    safe = z3.And(z3.fpIsZero(run.guard.drive), z3.fpIsZero(run.guard.brake))
+    return z3.Implies(over, safe), [over_is_off(run.before, run.guard_before), *run.limits]
+
+
+def the_end_stays(run):
+    ended = is_in(run.before.phase, Phase.DONE, Phase.FAULT)
+    stays = z3.And(is_in(run.after.phase, Phase.DONE, Phase.FAULT), over_is_off(run.after, run.guard))
+    return z3.Implies(ended, stays), [over_is_off(run.before, run.guard_before)]
+
+
+def what_holds_between_ticks_goes_on_holding(run):
+    return over_is_off(run.after, run.guard), [over_is_off(run.before, run.guard_before)]
+
+
+CLAIMS = [
+    (phases_follow_their_order, "s.phase, s.since_ns = _STOPPED, time_ns", "s.phase, s.since_ns = Phase.DONE, time_ns"),
+    (phases_follow_their_order, "_ARMED if s.phase == _IDLE else _SPIN_UP", "_SPIN_UP"),
+    (the_drive_is_requested_in_spin_up_only, "s.drive_request = s.brake_request = 0.0", "s.brake_request = 0.0"),
+    (the_brake_is_requested_while_braking_and_holding_only, "= k.drive_duty, 0.0", "= k.drive_duty, brake"),
+    (never_are_both_requested, "= 0.0, brake, True", "= k.drive_duty, brake, True"),
+    (between_driving_and_braking_is_a_tick_without_either, "_BRAKING, time_ns, 0.0", "_BRAKING, time_ns, k.drive_duty"),
+    (
+        at_the_end_only_safe_passes,
+        "        return\n    s.phase, s.since_ns = Phase.DONE",
+        "    s.phase, s.since_ns = Phase.DONE",
+    ),
+    (the_end_stays, "elif phase in (_IDLE, _ARMED):", "elif phase in (_IDLE, Phase.DONE):"),
+    (what_holds_between_ticks_goes_on_holding, "s.drive_request = s.brake_request = 0.0", "s.brake_request = 0.0"),
+]
+
+
+@pytest.mark.parametrize("claim", dict.fromkeys(claim for claim, *_ in CLAIMS), ids=lambda claim: claim.__name__)
+def test_the_phase_machine_keeps_its_claim(claim):
+    holds, assumed = claim(stepped())
+    assert refuted(holds, *assumed) is None
+
+
+@pytest.mark.parametrize(("claim", "old", "new"), CLAIMS, ids=lambda each: getattr(each, "__name__", ""))
+def test_of_a_changed_phase_machine_the_claim_is_refuted(claim, old, new):
+    holds, assumed = claim(stepped(tuple(changed(phase_machine, old, new).items())))
+    assert refuted(holds, *assumed) is not None
