@@ -1,12 +1,13 @@
-"""Runs the engine's functions on the terms of an SMT solver, statement by statement, from their own source.
+"""Symbolic execution of the engine's functions on terms of an SMT solver, from their own source.
 
 An assignment under a condition keeps the old value where the condition does not hold, so that a function runs once for
-all its paths. What could raise is collected in `hazards`. A statement that is not known here is refused.
+all its paths. `hazards` collects what could raise. A statement or expression that is not handled here raises
+NotImplementedError. Two lists are taken for different objects.
 
-Comparisons, min, max, negation, isfinite and assignments of floats are IEEE 754's; integers have any size. Products,
-sums, quotients and conversions of floats are exact in `Exact`, for which the terms must be numbers. In `Abstract` they
-are unknown functions of which only `facts` are assumed: a claim that holds of all such functions holds of IEEE 754's,
-and the solver has no multiplier of 53 bits to search.
+Comparisons, min, max, negation, isfinite and assignments of floats are those of IEEE 754; integers have any size.
+`Exact` computes sums, products, quotients and conversions, for terms that are numbers. `Abstract` makes them unknown
+functions of which it assumes only `facts`: a claim about all such functions holds for those of IEEE 754, and the solver
+need not search a multiplier of 53 bits.
 """
 
 import ast
@@ -15,7 +16,7 @@ import math
 import struct
 import sys
 from dataclasses import dataclass, fields, is_dataclass
-from functools import cache
+from functools import cache, partial
 from itertools import count, pairwise
 from types import FunctionType
 from typing import get_args, get_origin, get_type_hints
@@ -142,7 +143,7 @@ class Exact:
 
 
 class Abstract:
-    """Unknown functions with the `facts` of which a proof makes use."""
+    """Unknown functions, and in `facts` the calls that return what a proof may assume of their results."""
 
     def __init__(self):
         self.facts = []
@@ -158,17 +159,17 @@ class Abstract:
         if name == "and":
             return self._and(a, b)
         result = self._functions[name](a, b)
-        self.facts += facts(name, a, b, result)
+        self.facts.append(partial(facts, name, a, b, result))
         return result
 
     def to_float(self, n):
         result = self._to_float(n)
-        self.facts += [z3.Implies(n >= 0, result >= ZERO), z3.Implies(n >= 1, result >= lift(1.0))]
+        self.facts.append(lambda: [z3.Implies(n >= 0, result >= ZERO), z3.Implies(n >= 1, result >= lift(1.0))])
         return result
 
     def to_int(self, x):
         result = self._to_int(x)
-        self.facts.append(z3.Implies(z3.And(x > lift(-1.0), finite(x)), result >= 0))
+        self.facts.append(lambda: [z3.Implies(z3.And(x > lift(-1.0), finite(x)), result >= 0)])
         return result
 
     def at_most(self, n, x, *, strictly):
@@ -235,6 +236,8 @@ class Execution:
         module = sys.modules[function.__module__]
         text = self._sources.get(function.__module__) or inspect.getsource(module)
         tree = _functions(text)[function.__name__]
+        if tree.decorator_list:
+            raise NotImplementedError(f"{function.__name__} has a decorator")
         names = [each.arg for each in tree.args.args]
         frame = _Frame(dict(zip(names, arguments, strict=True)), vars(module))
         given = lift(given)
@@ -284,13 +287,13 @@ class Execution:
                 asked = self._truth(self._value(frame, test, given))
                 self._block(frame, body, z3.And(given, asked))
                 self._block(frame, orelse, z3.And(given, z3.Not(asked)))
-            case ast.For(target=ast.Name(id=name), iter=ast.Call(func=ast.Name(id="range"), args=[end])):
+            case ast.For(target=ast.Name(id=name), iter=ast.Call(func=ast.Name(id="range"), args=[end]), orelse=[]):
                 self._loop(frame, name, self._value(frame, end, given), node.body, given)
             case _:
                 raise NotImplementedError(ast.unparse(node))
 
     def _loop(self, frame, name, end, body, given):
-        """Each round, where their number is known; else any content of what the body changes, and any round of it."""
+        """Each round where their number is known; else one round, the last, after any others."""
         end = z3.simplify(lift(end))
         if z3.is_int_value(end):
             for i in range(end.as_long()):
@@ -301,14 +304,13 @@ class Execution:
             raise NotImplementedError("a loop that does more than assign")
         i = frame.variables[name] = self._fresh(z3.IntSort())
         inside = z3.And(given, i >= 0, i < end)
-        for _ in range(2):  # a round after any others, then what all of them leave
-            for each in ast.walk(ast.Module(body, [])):
-                if isinstance(each, ast.Subscript) and isinstance(each.ctx, ast.Store):
-                    row = self._value(frame, each.value, inside)
-                    row.array = z3.If(given, self._fresh(row.array.sort()), row.array)
-                elif isinstance(each, ast.Name | ast.Attribute) and isinstance(each.ctx, ast.Store):
-                    raise NotImplementedError("a loop that assigns more than items")
-            self._block(frame, body, inside)
+        for each in ast.walk(ast.Module(body, [])):
+            if isinstance(each, ast.Subscript) and isinstance(each.ctx, ast.Store):
+                row = self._value(frame, each.value, inside)
+                row.array = z3.If(given, self._fresh(row.array.sort()), row.array)
+            elif isinstance(each, ast.Name | ast.Attribute) and isinstance(each.ctx, ast.Store):
+                raise NotImplementedError("a loop that assigns more than items")
+        self._block(frame, body, inside)
         del frame.variables[name]
 
     def _fresh(self, sort):

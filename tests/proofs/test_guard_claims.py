@@ -38,13 +38,17 @@ class Run:
         return found
 
     def facts(self, *names):
-        """IEEE 754's facts of the arithmetic of these functions: the solver takes longer with more."""
+        """What IEEE 754 says of the arithmetic in these functions: with more of it the solver takes longer."""
         ranges = [within for called, _, _, within in self.execution.calls if called in names]
-        return [fact for each in ranges for fact in self.execution.arithmetic.facts[each]]
+        return assumed_of(self.execution, *ranges)
 
     def begins(self):
         """What is assumed of a tick."""
-        return [*in_range(self.k), *kept(self.k, self.before), *possible(self.sample)]
+        return [*in_range(self.k), *invariant(self.k, self.before), *possible(self.sample)]
+
+
+def assumed_of(execution, *ranges):
+    return [fact for each in ranges for found in execution.arithmetic.facts[each] for fact in found()]
 
 
 @cache
@@ -74,7 +78,7 @@ def drives_in_range(k):
     return found
 
 
-def kept(k, s):
+def invariant(k, s):
     """What holds between two ticks."""
     rings = [(row, k.speeds.length) for row in (s.speeds.times_ns, s.speeds.wheel_counts, s.speeds.road_counts)]
     rings += [(row, k.history) for row in (s.road_times_ns, s.road_speeds)]
@@ -88,7 +92,7 @@ def kept(k, s):
     ]
 
 
-def kept_of_run_up(k, s):
+def run_up_invariant(k, s):
     lags = [lag for bounds in (s.published, s.own) for lag in (bounds.slow_lag_s, bounds.fast_lag_s)]
     return [
         s.looks >= 0,
@@ -117,11 +121,11 @@ def clamped(request, limit):
 # claims: each of any state that the guard may be in, any sample and any request
 
 
-def nothing_above_its_limits(run):
+def nothing_above_the_limits_is_admitted(run):
     return z3.And(limits_hold(run.k, run.after)), in_range(run.k)
 
 
-def after_a_trip_only_safe(run):
+def a_trip_latches(run):
     return z3.Implies(run.before.reason != NONE, is_safe(run.after)), []
 
 
@@ -133,7 +137,7 @@ def a_trip_is_safe_in_the_same_tick(run):
     return z3.Implies(run.after.reason != NONE, is_safe(run.after)), []
 
 
-def what_is_no_finite_number_trips(run):
+def a_request_that_is_not_finite_trips(run):
     numbers = z3.And(finite(run.drive), finite(run.brake))
     return z3.Implies(z3.Not(numbers), z3.And(run.after.reason != NONE, is_safe(run.after))), in_range(run.k)
 
@@ -146,7 +150,7 @@ def a_request_passes_unchanged_or_clamped(run):
     return z3.Implies(run.after.reason == NONE, passed), in_range(run.k)
 
 
-def whatever_a_check_finds_trips(run):
+def every_finding_of_a_check_trips(run):
     found = [*run.results("_judge"), *run.results("_count_misses")]
     return z3.And(*(z3.Implies(z3.And(given, it != NONE), run.after.reason != NONE) for given, it in found)), []
 
@@ -159,7 +163,7 @@ def a_speed_above_the_limit_trips(run):
     return claim, run.execution.definitions
 
 
-def so_many_bad_exchanges_in_a_row_trip(run):
+def enough_bad_exchanges_trip(run):
     bad = run.sample.board_flags != 0
     counted = z3.And(
         run.after.in_a_row >= run.before.in_a_row + 1,
@@ -169,8 +173,8 @@ def so_many_bad_exchanges_in_a_row_trip(run):
     return z3.Implies(bad, counted), [*run.begins(), *run.facts("_count_misses"), *run.execution.definitions]
 
 
-def what_holds_between_ticks_goes_on_holding(run):
-    return z3.And(kept(run.k, run.after)), [*run.begins(), *run.facts("_count_misses")]
+def the_invariant_is_preserved(run):
+    return z3.And(invariant(run.k, run.after)), [*run.begins(), *run.facts("_count_misses")]
 
 
 def nothing_raises(run):
@@ -180,21 +184,26 @@ def nothing_raises(run):
 
 
 CLAIMS = [
-    (nothing_above_its_limits, guard, "min(max(brake, 0.0), k.brake_limit)", "min(max(brake, 0.0), k.drive_limit)"),
-    (nothing_above_its_limits, guard, "0.0 <= drive <= k.drive_limit", "drive <= k.drive_limit"),
-    (after_a_trip_only_safe, guard, "drive = brake = 0.0", "drive = 0.0"),
-    (after_a_trip_only_safe, guard, "    if s.reason != _NONE:", "    if found != _NONE:"),
+    (
+        nothing_above_the_limits_is_admitted,
+        guard,
+        "min(max(brake, 0.0), k.brake_limit)",
+        "min(max(brake, 0.0), k.drive_limit)",
+    ),
+    (nothing_above_the_limits_is_admitted, guard, "0.0 <= drive <= k.drive_limit", "drive <= k.drive_limit"),
+    (a_trip_latches, guard, "drive = brake = 0.0", "drive = 0.0"),
+    (a_trip_latches, guard, "    if s.reason != _NONE:", "    if found != _NONE:"),
     (the_first_reason_stays, guard, "    if s.reason == _NONE:", "    if s.reason != reason:"),
     (a_trip_is_safe_in_the_same_tick, guard, "drive = brake = 0.0", "drive = brake = -0.0"),
-    (what_is_no_finite_number_trips, guard, "and math.isfinite(brake)", "and brake == brake"),
-    (what_is_no_finite_number_trips, guard, "math.isfinite(drive) and", "math.isfinite(drive) or"),
+    (a_request_that_is_not_finite_trips, guard, "and math.isfinite(brake)", "and brake == brake"),
+    (a_request_that_is_not_finite_trips, guard, "math.isfinite(drive) and", "math.isfinite(drive) or"),
     (a_request_passes_unchanged_or_clamped, guard, "max(drive, 0.0)", "max(drive, brake)"),
-    (whatever_a_check_finds_trips, guard, "if found != _NONE:", "if found == Reason.OVER_SPEED:"),
+    (every_finding_of_a_check_trips, guard, "if found != _NONE:", "if found == Reason.OVER_SPEED:"),
     (a_speed_above_the_limit_trips, guard, "<= wheel <= limit and -limit <= road <=", "<= wheel <= limit and road <="),
-    (so_many_bad_exchanges_in_a_row_trip, guard, "s.in_a_row >= k.most_in_a_row", "s.in_a_row > k.most_in_a_row"),
-    (so_many_bad_exchanges_in_a_row_trip, guard, "max(skipped, 1 if flags else 0)", "skipped"),
-    (what_holds_between_ticks_goes_on_holding, guard, "s.oldest = i if i < k.history else 0", "s.oldest = i"),
-    (what_holds_between_ticks_goes_on_holding, guard, "max(0, s.bucket - 1)", "s.bucket - 1"),
+    (enough_bad_exchanges_trip, guard, "s.in_a_row >= k.most_in_a_row", "s.in_a_row > k.most_in_a_row"),
+    (enough_bad_exchanges_trip, guard, "max(skipped, 1 if flags else 0)", "skipped"),
+    (the_invariant_is_preserved, guard, "s.oldest = i if i < k.history else 0", "s.oldest = i"),
+    (the_invariant_is_preserved, guard, "max(0, s.bucket - 1)", "s.bucket - 1"),
     (nothing_raises, count_speed, "if elapsed_ns <= 0:", "if elapsed_ns < 0:"),
     (nothing_raises, count_speed, "    if i < 0:", "    if i < -1:"),
 ]
@@ -219,16 +228,19 @@ def test_the_guard_keeps_its_claim(claim):
 
 
 @pytest.mark.parametrize(("claim", "module", "old", "new"), CLAIMS, ids=lambda each: getattr(each, "__name__", ""))
-def test_of_a_changed_guard_the_claim_is_refuted(claim, module, old, new):
+def test_a_changed_guard_breaks_the_claim(claim, module, old, new):
     holds, assumed = claim(admitted(tuple(changed(module, old, new).items())))
     assert refuted(holds, *assumed) is not None
 
 
 @pytest.mark.parametrize("settings", CONFIGURED, ids=" ".join)
-def test_of_a_configured_guard_what_is_assumed_holds_before_the_first_tick(settings):
+def test_a_new_guard_is_as_the_proofs_assume(settings):
     config = load_config(settings=settings)
-    k, s = known(guard.guard_constants(config)), known(Guard(config))
-    assumed = [*in_range(k), *kept(k, s), *kept_of_run_up(k.run_up, s.run_up)]
+    new = Guard(config)
+    k, s = known(guard.guard_constants(config)), known(new)
+    rings = [new.road_times_ns, new.road_speeds, new.speeds.times_ns, new.speeds.wheel_counts, new.speeds.road_counts]
+    assert len(set(map(id, rings))) == len(rings)
+    assumed = [*in_range(k), *invariant(k, s), *run_up_invariant(k.run_up, s.run_up)]
     assert [str(each) for each in assumed if not z3.is_true(z3.simplify(each))] == []
 
 
@@ -238,9 +250,9 @@ def judged(change=()):
     execution, before = Execution(Abstract(), change), copied(s)
     execution.call(run_up.plausible, k, s, unknown(int, "now_ns"), unknown(int, "count"), drive, brake)
     raising = [condition for function, _, condition in execution.hazards if function in OF_RUN_UP]
-    assumed = [*drives_in_range(k), within(drive, 1.0), within(brake, 1.0), *kept_of_run_up(k, before)]
-    assumed += [*execution.definitions, *execution.arithmetic.facts]
-    return z3.And(z3.Not(z3.Or(raising)), *kept_of_run_up(k, s)), assumed
+    assumed = [*drives_in_range(k), within(drive, 1.0), within(brake, 1.0), *run_up_invariant(k, before)]
+    assumed += [*execution.definitions, *assumed_of(execution, slice(None))]
+    return z3.And(z3.Not(z3.Or(raising)), *run_up_invariant(k, s)), assumed
 
 
 def test_the_check_of_the_run_up_never_raises():
@@ -257,7 +269,7 @@ def test_the_check_of_the_run_up_never_raises():
         ("(lag_s + 0.5 * elapsed_s)", "(lag_s - 0.5 * elapsed_s)"),
     ],
 )
-def test_of_a_changed_check_of_the_run_up_that_is_refuted(old, new):
+def test_a_changed_check_of_the_run_up_may_raise(old, new):
     holds, assumed = judged(changed(run_up, old, new))
     assert refuted(holds, *assumed) is not None
 
@@ -272,7 +284,7 @@ def ended(change=()):
     return z3.And(tripped, z3.Implies(asked_to_stop, s.reason != NONE))
 
 
-def test_any_reason_to_stop_is_safe_and_the_end_of_the_experiment():
+def test_any_reason_to_stop_ends_the_experiment_in_safe():
     assert refuted(ended()) is None
 
 
@@ -284,5 +296,5 @@ def test_any_reason_to_stop_is_safe_and_the_end_of_the_experiment():
         ("machine.phase = Phase.FAULT", "machine.phase = Phase.DONE"),
     ],
 )
-def test_of_a_changed_end_of_the_experiment_that_is_refuted(old, new):
+def test_a_changed_end_of_the_experiment_breaks_the_claim(old, new):
     assert refuted(ended(changed(pipeline, old, new))) is not None

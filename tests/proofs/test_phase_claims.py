@@ -54,7 +54,7 @@ def asks_nothing(s):
     return z3.And(z3.fpIsZero(s.drive_request), z3.fpIsZero(s.brake_request))
 
 
-def over_is_off(machine, state):
+def invariant(machine, state):
     """What holds between two ticks: after the end nothing is requested, or the guard has tripped."""
     over = z3.Implies(machine.phase == int(Phase.DONE), asks_nothing(machine))
     failed = z3.Implies(machine.phase == int(Phase.FAULT), state.reason != NONE)
@@ -67,56 +67,56 @@ def phases_follow_their_order(run):
     return z3.And(*steps), begun
 
 
-def the_drive_is_requested_in_spin_up_only(run):
+def the_drive_is_requested_only_in_spin_up(run):
     claim = z3.Implies(run.before.phase != int(Phase.SPIN_UP), z3.fpIsZero(run.advanced.drive_request))
     return claim, [run.good]
 
 
-def the_brake_is_requested_while_braking_and_holding_only(run):
+def the_brake_is_requested_only_while_braking_and_holding(run):
     allowed = is_in(run.before.phase, Phase.BRAKING, Phase.STOPPED)
     return z3.Implies(z3.Not(allowed), z3.fpIsZero(run.advanced.brake_request)), [run.good]
 
 
-def never_are_both_requested(run):
+def drive_and_brake_are_never_requested_together(run):
     both = (run.advanced.drive_request, run.advanced.brake_request)
     return z3.Or(*map(z3.fpIsZero, both)), [run.good]
 
 
-def between_driving_and_braking_is_a_tick_without_either(run):
+def a_tick_without_either_separates_drive_and_brake(run):
     begins = z3.And(run.before.phase == int(Phase.SPIN_UP), run.advanced.phase == int(Phase.BRAKING))
     return z3.Implies(begins, asks_nothing(run.advanced)), [run.good]
 
 
-def at_the_end_only_safe_passes(run):
+def after_the_end_only_safe_is_admitted(run):
     over = is_in(run.after.phase, Phase.DONE, Phase.FAULT)
     safe = z3.And(z3.fpIsZero(run.guard.drive), z3.fpIsZero(run.guard.brake))
-    return z3.Implies(over, safe), [over_is_off(run.before, run.guard_before), *run.limits]
+    return z3.Implies(over, safe), [invariant(run.before, run.guard_before), *run.limits]
 
 
 def the_end_stays(run):
     ended = is_in(run.before.phase, Phase.DONE, Phase.FAULT)
-    stays = z3.And(is_in(run.after.phase, Phase.DONE, Phase.FAULT), over_is_off(run.after, run.guard))
-    return z3.Implies(ended, stays), [over_is_off(run.before, run.guard_before)]
+    stays = z3.And(is_in(run.after.phase, Phase.DONE, Phase.FAULT), invariant(run.after, run.guard))
+    return z3.Implies(ended, stays), [invariant(run.before, run.guard_before)]
 
 
-def what_holds_between_ticks_goes_on_holding(run):
-    return over_is_off(run.after, run.guard), [over_is_off(run.before, run.guard_before)]
+def the_invariant_is_preserved(run):
+    return invariant(run.after, run.guard), [invariant(run.before, run.guard_before)]
 
 
 CLAIMS = [
     (phases_follow_their_order, "s.phase, s.since_ns = _STOPPED, time_ns", "s.phase, s.since_ns = Phase.DONE, time_ns"),
     (phases_follow_their_order, "_ARMED if s.phase == _IDLE else _SPIN_UP", "_SPIN_UP"),
-    (the_drive_is_requested_in_spin_up_only, "s.drive_request = s.brake_request = 0.0", "s.brake_request = 0.0"),
-    (the_brake_is_requested_while_braking_and_holding_only, "= k.drive_duty, 0.0", "= k.drive_duty, brake"),
-    (never_are_both_requested, "= 0.0, brake, True", "= k.drive_duty, brake, True"),
-    (between_driving_and_braking_is_a_tick_without_either, "_BRAKING, time_ns, 0.0", "_BRAKING, time_ns, k.drive_duty"),
+    (the_drive_is_requested_only_in_spin_up, "s.drive_request = s.brake_request = 0.0", "s.brake_request = 0.0"),
+    (the_brake_is_requested_only_while_braking_and_holding, "= k.drive_duty, 0.0", "= k.drive_duty, brake"),
+    (drive_and_brake_are_never_requested_together, "= 0.0, brake, True", "= k.drive_duty, brake, True"),
+    (a_tick_without_either_separates_drive_and_brake, "_BRAKING, time_ns, 0.0", "_BRAKING, time_ns, k.drive_duty"),
     (
-        at_the_end_only_safe_passes,
+        after_the_end_only_safe_is_admitted,
         "        return\n    s.phase, s.since_ns = Phase.DONE",
         "    s.phase, s.since_ns = Phase.DONE",
     ),
     (the_end_stays, "elif phase in (_IDLE, _ARMED):", "elif phase in (_IDLE, Phase.DONE):"),
-    (what_holds_between_ticks_goes_on_holding, "s.drive_request = s.brake_request = 0.0", "s.brake_request = 0.0"),
+    (the_invariant_is_preserved, "s.drive_request = s.brake_request = 0.0", "s.brake_request = 0.0"),
 ]
 
 
@@ -127,6 +127,6 @@ def test_the_phase_machine_keeps_its_claim(claim):
 
 
 @pytest.mark.parametrize(("claim", "old", "new"), CLAIMS, ids=lambda each: getattr(each, "__name__", ""))
-def test_of_a_changed_phase_machine_the_claim_is_refuted(claim, old, new):
+def test_a_changed_phase_machine_breaks_the_claim(claim, old, new):
     holds, assumed = claim(stepped(tuple(changed(phase_machine, old, new).items())))
     assert refuted(holds, *assumed) is not None
