@@ -15,7 +15,7 @@ CONTENTS = {
     "Tutorials": ["docs/tutorials/*.md"],
     "Guides": [
         "docs/safety.md", "docs/troubleshooting.md", "docs/settings.md", "docs/controllers.md",
-        "docs/populations.md", "docs/sweeps.md",
+        "docs/populations.md", "docs/sweeps.md", "docs/benchmark.md",
         "docs/sessions.md", "docs/interfaces.md", "docs/boards.md", "docs/real-time.md", "docs/hazards.md",
         "docs/watchdog.md", "docs/parity.md",
     ],

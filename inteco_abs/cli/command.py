@@ -18,7 +18,7 @@ _VERBS: Final = {
         "list", "info", "report", "figure", "diff", "replay", "what-if", "golden", "export", "extract", "viewer-layout",
         "validate", "recover",
     ),
-    "Compare and design": ("controllers", "estimators", "sweep", "design", "identify", "paper", "fmu"),
+    "Compare and design": ("controllers", "estimators", "sweep", "benchmark", "design", "identify", "paper", "fmu"),
     "Boards and commissioning": ("commission", "panel", "identify-led", "mock-board", "faults", "wire"),
     "Setup": ("doctor", "config", "profiles", "completion"),
 }  # fmt: skip

@@ -154,7 +154,7 @@ def sweep(
         check_figure(figure)
     if work is not None:
         folder = SweepFolder.open(work)
-        code = _brake(folder, jobs, executor, part or (1, 1))
+        code = brake_missing(folder, jobs, executor, part or (1, 1))
         _report_given_up(folder)
         say(f"inteco-abs sweep --show {work} makes the table", err=True)
         return code
@@ -168,7 +168,7 @@ def sweep(
         return 0
     with nullcontext(store) if store else tempfile.TemporaryDirectory(prefix="inteco-abs-sweep-") as place:
         folder = SweepFolder.make(Path(place), plan)
-        code = _brake(folder, jobs, executor, kept=store is not None)
+        code = brake_missing(folder, jobs, executor, kept=store is not None)
         return max(code, _report(folder, table, figure, as_json=as_json))
 
 
@@ -218,7 +218,7 @@ def _plan(
 
     controller, estimator, settings = chosen
     with redirect_stdout(sys.stderr):  # a controller's prints must not mix with the result
-        controllers, sources = _controllers(controller)
+        controllers, sources = user_controllers(controller)
     names = [f"controller.name={name}" for name in controller] + [f"estimator.name={name}" for name in estimator]
     grid = combinations([*settings, *names], controllers, config)
     _require_no_rig(grid, draws)
@@ -240,7 +240,7 @@ def _with_files(
     return {name: with_files(name, source) for name, source in sources.items()}
 
 
-def _brake(
+def brake_missing(
     folder: SweepFolder, jobs: int | None, executor: str | None, part: tuple[int, int] = (1, 1), *, kept: bool = True
 ) -> int:
     """Brake what is missing; the exit code."""
@@ -320,7 +320,7 @@ def _report(folder: SweepFolder, table: Path | None, figure: Path | None, *, as_
     return _report_errors(rows)
 
 
-def _controllers(names: Sequence[str]) -> tuple[Controllers, dict[str, bytes]]:
+def user_controllers(names: Sequence[str]) -> tuple[Controllers, dict[str, bytes]]:
     """All known controllers, and the sources of those from the user's files."""
     from inteco_abs.montecarlo import split_list
     from inteco_abs.plugins import FROM_FILE

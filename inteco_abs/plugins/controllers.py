@@ -10,20 +10,23 @@ from typing import NamedTuple
 from inteco_abs.control import CONTROLLERS, Controller
 from inteco_abs.entry_points import Registry
 from inteco_abs.plugins.shape import require_controller
+from inteco_abs.published import PUBLISHED
+from inteco_abs.version import __version__
 
 
 def installed_controllers() -> Registry[type[Controller]]:
-    """Shipped controllers, and those of installed packages."""
-    return Registry("a controller", "inteco_abs.controllers", "controller.name", CONTROLLERS, require_controller)
+    """Shipped controllers, those that others published, and those of installed packages."""
+    shipped = CONTROLLERS | PUBLISHED
+    return Registry("a controller", "inteco_abs.controllers", "controller.name", shipped, require_controller)
 
 
 class Origin(NamedTuple):
-    """Origin of a controller that is not shipped, for the session."""
+    """Origin of a controller that is not one of `CONTROLLERS`, for the session."""
 
     source: bytes = b""
     """Source of the file, or of the package's module if it can be read."""
     package: str = ""
-    """Name and version of the package; empty if it comes from a file."""
+    """Name and version of the package, for a published law inteco-abs; empty if it comes from a file."""
 
 
 class Controllers(Mapping[str, type[Controller]]):
@@ -56,7 +59,8 @@ class Controllers(Mapping[str, type[Controller]]):
             return self._own[name][1]
         if name in CONTROLLERS:
             return Origin()
-        return Origin(_source_of(self[name]), self._installed.packaged[name].package)
+        package = f"inteco-abs {__version__}" if name in PUBLISHED else self._installed.packaged[name].package
+        return Origin(_source_of(self[name]), package)
 
 
 def _source_of(kind: type) -> bytes:

@@ -1,0 +1,23 @@
+"""All laws on the same simulated rigs, judged by one ruler. Needs the extra `lab`."""
+
+from inteco_abs.benchmark.decision_time import DecisionTime, time_decisions
+from inteco_abs.benchmark.laws import DEFAULT_ESTIMATOR, PUBLISHED_GAINS, Law, read_laws, shipped_laws, write_laws
+from inteco_abs.benchmark.results import POPULATIONS, compared, ranges, results_of
+from inteco_abs.benchmark.tuning import Budget, tune
+
+__all__ = [
+    "DEFAULT_ESTIMATOR",
+    "POPULATIONS",
+    "PUBLISHED_GAINS",
+    "Budget",
+    "DecisionTime",
+    "Law",
+    "compared",
+    "ranges",
+    "read_laws",
+    "results_of",
+    "shipped_laws",
+    "time_decisions",
+    "tune",
+    "write_laws",
+]
