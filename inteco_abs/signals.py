@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from enum import IntEnum, IntFlag
 from typing import ClassVar, Final, NamedTuple
+
+_EXACT: Final = 1e-9
+"""Keeps a duty that is a whole number of steps from losing one to binary rounding."""
 
 
 class BoardFlags(IntFlag):
@@ -162,6 +166,11 @@ class BrakeDemand(NamedTuple):
     """Switching function (slip error), or another value that the controller drives to zero."""
     internals: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     """Four values for the log; the controller's `internals` names them."""
+
+
+def pwm_steps(duty: float, full: int) -> int:
+    """Of `full` steps of a PWM period, those of a duty in 0..1, rounded down: never more than the guard admitted."""
+    return math.floor(duty * full + _EXACT)
 
 
 class Timing(NamedTuple):

@@ -15,8 +15,7 @@ from inteco_abs.control import (
     Estimator,
     Function,
     Pipeline,
-    admit_request,
-    advance_phase,
+    advance_and_admit,
     finite_demand,
     finite_estimate,
     function_of,
@@ -154,10 +153,10 @@ def decide_row(
     machine_k, machine, guard_k, guard, s, reference_slip = sequence
     flags, request = _signed(row.board_flags), _signed(row.stop_request)
     sample = Sample(_signed(row.tick), _signed(row.time_ns), row.dt_s, row.wheel_count, row.road_count, flags)
+    phase = machine.phase
     if not flags:
         estimated = estimate(estimator_k, estimator, sample, Command(s.drive, s.brake))
         s.wheel_speed, s.road_speed, s.slip, s.valid, _ = estimated
-        phase = machine.phase
         if phase == _BRAKING:
             demand = control(controller_k, controllers[0], estimated, row.dt_s)
             if not finite_demand(demand):
@@ -165,11 +164,10 @@ def decide_row(
             _note(s, demand)
         if not finite_estimate(estimated):
             return False
-        advance_phase(machine_k, machine, sample, s.demanded)
-        if phase == _STOPPED and machine.phase == _IDLE:
-            _note(s, BrakeDemand(0.0, 0.0, 0.0, (0.0, 0.0, 0.0, 0.0)))
-            controllers[0] = controllers[1]
-    admit_request(guard_k, guard, machine, sample, request)
+    advance_and_admit((machine_k, guard_k), (machine, guard), sample, s.demanded, request)
+    if phase == _STOPPED and machine.phase == _IDLE:
+        _note(s, BrakeDemand(0.0, 0.0, 0.0, (0.0, 0.0, 0.0, 0.0)))
+        controllers[0] = controllers[1]
     held = machine.held
     if held or guard.drive != s.drive or guard.brake != s.brake:
         s.drive, s.brake = guard.drive, guard.brake

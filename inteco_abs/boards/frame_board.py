@@ -16,11 +16,11 @@ from inteco_abs.boards.board_clock import BoardClock
 from inteco_abs.boards.constants import constants_of
 from inteco_abs.boards.echoed_pins import EchoedPins
 from inteco_abs.boards.first_write import PlannedWord, planned_words
-from inteco_abs.boards.frame_exchange import EXACT, ExchangeConstants, ExchangeState
+from inteco_abs.boards.frame_exchange import ExchangeConstants, ExchangeState
 from inteco_abs.boards.transports.links import Link
 from inteco_abs.config import BoardConfig
 from inteco_abs.errors import BoardError, ConfigError, ConfigIssue, LinkError, NoAnswerError
-from inteco_abs.signals import Command
+from inteco_abs.signals import Command, pwm_steps
 
 MODES: Final = ("8-bit", "12-bit")
 _MOST_OLD: Final = 100
@@ -397,8 +397,7 @@ def widths(command: Command, full: int) -> tuple[int, int]:
     """Return the PWM widths of drive and brake; `full` is duty 1. Raises BoardError for a duty outside 0..1."""
     if not (0.0 <= command.drive <= 1.0 and 0.0 <= command.brake <= 1.0):  # NaN fails too
         raise BoardError(f"{command}: duties must be in 0..1")  # never masked
-    # rounded down: never more than the guard admitted
-    return int(command.drive * full + EXACT), int(command.brake * full + EXACT)
+    return pwm_steps(command.drive, full), pwm_steps(command.brake, full)
 
 
 def _require_channels(wiring: BoardConfig, logic: Logic) -> None:

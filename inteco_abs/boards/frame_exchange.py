@@ -6,13 +6,10 @@ Frames are lists of bytes, and the tables of the protocol say where in them a va
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 from firmware_protocol import signed32
 from firmware_protocol.fields import Layout, get_bits, put_bits
-
-EXACT: Final = 1e-9
-"""Keeps binary rounding from losing a width."""
+from inteco_abs.signals import pwm_steps
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +52,8 @@ class ExchangeState:
 def put_command(k: ExchangeConstants, s: ExchangeState, drive: float, brake: float) -> None:
     """Put duties in 0..1 and the next number into the host's frame."""
     s.number = (s.number + 1) % k.numbers
-    put_bits(s.frame, k.drive, int(drive * k.full + EXACT))
-    put_bits(s.frame, k.brake, int(brake * k.full + EXACT))
+    put_bits(s.frame, k.drive, pwm_steps(drive, k.full))
+    put_bits(s.frame, k.brake, pwm_steps(brake, k.full))
     put_bits(s.frame, k.number, s.number)
 
 

@@ -37,8 +37,8 @@ from inteco_abs.control.factory import (
 )
 from inteco_abs.control.functions import Function, finite_demand, finite_estimate, function_of
 from inteco_abs.control.guard import Guard
-from inteco_abs.control.phase_machine import REST_COUNTS, PhaseMachine, advance_phase, demand_of
-from inteco_abs.control.pipeline import OVER, DecisionState, Pipeline, admit_request
+from inteco_abs.control.phase_machine import REST_COUNTS, PhaseMachine, demand_of
+from inteco_abs.control.pipeline import OVER, DecisionState, Pipeline, advance_and_admit
 from inteco_abs.control.slip_dynamics import BrakingModel, reaching_law_torque, reaching_time_bound
 from inteco_abs.control.wheel_dynamics import WheelDynamics
 
@@ -74,8 +74,7 @@ __all__ = [
     "TrackingLoop",
     "TwoWheels",
     "WheelDynamics",
-    "admit_request",
-    "advance_phase",
+    "advance_and_admit",
     "braking_slip",
     "build_pipeline",
     "config_of_stop",

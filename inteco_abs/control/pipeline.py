@@ -10,7 +10,7 @@ from inteco_abs.config import RigConfig
 from inteco_abs.control.controllers import Controller
 from inteco_abs.control.estimators import Estimator
 from inteco_abs.control.guard import Guard, GuardConstants, GuardState, admit, trip
-from inteco_abs.control.phase_machine import MachineState, PhaseMachine
+from inteco_abs.control.phase_machine import MachineConstants, MachineState, PhaseMachine, advance_phase
 from inteco_abs.signals import UNTIMED, BrakeDemand, Command, Estimate, Phase, Reason, Sample, Tick, Timing
 
 _NONE: Final = Reason.NONE
@@ -143,6 +143,19 @@ class Pipeline:
         if machine.held or guard.drive != drive or guard.brake != brake:
             self.command = Command(guard.drive, guard.brake)
         return self._estimate
+
+
+def advance_and_admit(
+    k: tuple[MachineConstants, GuardConstants],
+    s: tuple[MachineState, GuardState],
+    sample: Sample,
+    brake: float,
+    stop_request: Reason,
+) -> None:
+    """What follows estimate and demand in a tick, of which `brake` is the last: phase machine, then guard."""
+    if not sample.board_flags:
+        advance_phase(k[0], s[0], sample, brake)
+    admit_request(k[1], s[1], s[0], sample, stop_request)
 
 
 def admit_request(

@@ -23,8 +23,7 @@ from inteco_abs.control import (
     Function,
     Guard,
     PhaseMachine,
-    admit_request,
-    advance_phase,
+    advance_and_admit,
     config_of_stop,
     function_of,
     make_estimator,
@@ -125,8 +124,7 @@ def respond(parts: Parts, brake: float) -> None:
     k, clock, stop, machine, guard = parts.rig_k, parts.clock, parts.stop, parts.machine, parts.guard
     tick, period_s = stop.tick, clock.period_ns / 1e9
     sample = Sample(tick, tick * clock.period_ns, period_s, stop.wheel_count, stop.road_count, _NO_FLAGS)
-    advance_phase(parts.machine_k, machine, sample, brake)
-    admit_request(parts.guard_k, guard, machine, sample, _NONE)
+    advance_and_admit((parts.machine_k, parts.guard_k), (machine, guard), sample, brake, _NONE)
     if stop.began < 0 and machine.phase == _BRAKING:
         stop.began = tick
     places = k.command_delay_ticks + 1

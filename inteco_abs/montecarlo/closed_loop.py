@@ -13,8 +13,7 @@ from inteco_abs.control import (
     Function,
     Guard,
     PhaseMachine,
-    admit_request,
-    advance_phase,
+    advance_and_admit,
     finite_demand,
     finite_estimate,
     function_of,
@@ -107,8 +106,7 @@ def stop(
                 finite = finite and finite_demand(demand)
             if not finite:
                 return Course(began, tick, decisions, guard.reason, False)
-            advance_phase(parts.machine_k, machine, sample, brake)
-            admit_request(parts.guard_k, guard, machine, sample, _NONE)
+            advance_and_admit((parts.machine_k, parts.guard_k), (machine, guard), sample, brake, _NONE)
             decisions += 1
             slip = estimated.slip
             ended = guard.reason != _NONE

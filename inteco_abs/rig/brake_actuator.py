@@ -9,6 +9,7 @@ from inteco_abs.rig.actuators import brake_torque
 from inteco_abs.rig.brake_map import BrakeMap, interpolated
 from inteco_abs.rig.state import Constants, State
 from inteco_abs.rig.variation import RigVariation
+from inteco_abs.signals import pwm_steps
 
 MEASURED_TORQUE: Final = (
     (0.415, 0.0),  # ASSUMED: the measured points begin above the published end of the dead zone
@@ -31,8 +32,6 @@ MEASURED_TORQUE: Final = (
 MEASURED_MAP: Final = BrakeMap(MEASURED_TORQUE)
 SAME_TIME_S: Final = 1e-9
 """Times closer than this are equal: the sum of many ticks is not exact."""
-EXACT: Final = 1e-9
-"""Keeps a duty that is a whole number of steps from losing one to binary rounding."""
 
 
 def measured_torque(duty: float) -> float:
@@ -54,7 +53,7 @@ def settled(k: Constants, duty: float) -> float:
     """`settled_torque` of the rig `k`."""
     duty = min(duty, k.brake_duty_cap)
     if k.brake_pwm_steps > 0:
-        duty = math.floor(duty * k.brake_pwm_steps + EXACT) / k.brake_pwm_steps
+        duty = pwm_steps(duty, k.brake_pwm_steps) / k.brake_pwm_steps
     if k.supply_sag > 0.0:
         duty -= k.supply_sag * duty * duty
     duty -= k.brake_duty_offset

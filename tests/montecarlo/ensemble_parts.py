@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from inteco_abs.control import admit_request, advance_phase
+from inteco_abs.control import advance_and_admit
 from inteco_abs.montecarlo import ConfiguredPolicy, IdealPolicy
 from inteco_abs.signals import BrakeDemand, Command, Estimate, Sample
 
@@ -192,8 +192,6 @@ def decisions(machine_k, machine, guard_k, guard, given):
     """What machine and guard make of a sample, a reason to stop, and the controller's duty."""
     tick, time_ns, dt_s, wheel_count, road_count, flags, stop, brake = given
     sample = Sample(tick, time_ns, dt_s, wheel_count, road_count, flags)
-    if flags == 0:
-        advance_phase(machine_k, machine, sample, brake)
-    admit_request(guard_k, guard, machine, sample, stop)
+    advance_and_admit((machine_k, guard_k), (machine, guard), sample, brake, stop)
     requested = machine.drive_request, machine.brake_request, 0.0 + machine.held, 0.0 + machine.reason
     return *requested, guard.drive, guard.brake, 0.0 + machine.phase, 0.0 + guard.reason
