@@ -54,6 +54,16 @@ _LEAST_SLIP: Final = 0.01
     help="Check sliding over these slips, not only at the reference.",
 )
 @click.option("--from-slip", type=Finite(), help="Also check reaching from this slip.")
+@click.option(
+    "--lag",
+    nargs=2,
+    type=Finite(0.0, 1.0, unit="s"),
+    metavar="LOW HIGH",
+    help="Also check the loop with brakes of these lags (s), the estimator's delay and sampling.",
+)
+@click.option(
+    "--dead-time", type=Finite(0.0, 1.0, unit="s"), help="With --lag: the longest dead time of the brake (s)."
+)
 @click.option("--csv", "table", type=FILE, help="Also write all curves over the road speed (.csv).")
 @click.option("--figure", type=FILE, help="Also draw the curves: .png, .svg or .pdf.")
 @json_option
@@ -63,6 +73,8 @@ def design(
     speeds: tuple[float, float] | None,
     slip_band: tuple[float, float] | None,
     from_slip: float | None,
+    lag: tuple[float, float] | None,
+    dead_time: float | None,
     table: Path | None,
     figure: Path | None,
     as_json: bool,
@@ -70,13 +82,14 @@ def design(
     """Check gains for a rig that is not known exactly.
 
     It computes how large Mq must be for sliding, by (25) and (26), how long reaching may take, by (20), and whether the
-    brake is strong enough within its duty limit, for an ideal loop without lag, delay and noise. Ends with 0 if the
-    gains hold for the whole set of rigs, with 3 if there is advice.
+    brake is strong enough within its duty limit, for an ideal loop without lag, delay and noise. With --lag it also
+    finds limit cycles of the real loop, and how much further delay it bears. Ends with 0 if the gains hold for the
+    whole set of rigs, with 3 if there is advice.
     """
     from inteco_abs.boards import kind_check
     from inteco_abs.config import load_config
     from inteco_abs.control import control_check, preferred_estimator
-    from inteco_abs.gain_design import HARD, judge_gains, stated_box
+    from inteco_abs.gain_design import HARD, Brake, judge_gains, stated_box
     from inteco_abs.gain_design.figure import draw_design
     from inteco_abs.rig import nominal_parameters
     from inteco_abs.views.figure import check_figure
@@ -87,11 +100,16 @@ def design(
     speeds = speeds or (_SLOWEST_RAD_S, max(rig.experiment.start_speed_rad_s, _SLOWEST_RAD_S + 1.0))
     slips = [0.0] if from_slip is None else [0.0, from_slip]
     _require_ranges(speeds, slip_band, slips, rig.controller.reference_slip)
+    if dead_time is not None and lag is None:
+        raise ConfigError.of("--dead-time", "needs --lag LOW HIGH; --lag 0 0 is a brake without lag")
+    if lag is not None and lag[0] > lag[1]:
+        raise ConfigError.of("--lag", f"{lag[0]:g} {lag[1]:g}: must not fall; write --lag {lag[1]:g} {lag[0]:g}")
+    brake = None if lag is None else Brake(*lag, dead_time or 0.0)
     check_table(table)
     if figure is not None:
         check_figure(figure)
     box = stated_box(uncertain or HARD, nominal_parameters(rig.model))
-    report = judge_gains(rig, box, speeds, slip_band, slips).report()
+    report = judge_gains(rig, box, speeds, slip_band, slips, brake).report()
     if table is not None:
         curves = report["curves"]
         write_csv([dict(zip(curves, row, strict=True)) for row in zip(*curves.values(), strict=True)], table)

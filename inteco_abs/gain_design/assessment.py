@@ -1,6 +1,7 @@
 """Assesses gains for an uncertain rig by (20), (25), (26) and the limits of the brake.
 
-The loop is ideal: exact slip, a brake without lag, no delay. So the results are necessary, not sufficient, on a rig.
+For these the loop is ideal: exact slip, a brake without lag, no delay. So they are necessary, not sufficient, on a rig;
+`balances` has the loop with a brake that is late, sampling and the estimator.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from inteco_abs.control import gains_in_force
 from inteco_abs.gain_design.advice import Advice, Case, Interval, advice, layer_step, where_lost
 from inteco_abs.gain_design.bounds import AtSlip, Bounds, Floats
 from inteco_abs.gain_design.gains import gains_of
+from inteco_abs.gain_design.harmonic_balance import Balance, Brake, balances, cycle_advice
 from inteco_abs.gain_design.reaching import Reaching, reaching
 from inteco_abs.gain_design.uncertainty import Box
 from inteco_abs.quantities import finite
@@ -40,6 +42,9 @@ class Assessment:
     fails_26: Sequence[Interval]
     reaching: Sequence[Reaching]
     advice: Sequence[Advice]
+    brake: Brake | None
+    balances: Sequence[Balance]
+    """The loop with that brake at several road speeds; none without a brake."""
 
     def report(self) -> dict[str, Any]:
         """Report for JSON; None for infinite values."""
@@ -62,6 +67,8 @@ class Assessment:
             "brake_limit": self.case.brake_limit,
             "largest_torque_nm": self.case.limit_nm,
             "reaching": [{key: finite(value) for key, value in way._asdict().items()} for way in self.reaching],
+            "brake": None if self.brake is None else self.brake._asdict(),
+            "loop": [{key: finite(value) for key, value in row._asdict().items()} for row in self.balances],
             "advice": [one._asdict() for one in self.advice],
             "curves": {name: [finite(value) for value in values] for name, values in curves.items()},
         }
@@ -73,12 +80,13 @@ def judge_gains(
     speeds: tuple[float, float],
     slip_band: tuple[float, float] | None = None,
     from_slips: Sequence[float] = (0.0,),
+    brake: Brake | None = None,
 ) -> Assessment:
     """Assess the configured gains over road speeds from..to, rad/s, both above 0.
 
     The conditions of sliding are those at the reference slip, or at the worst slip of a band; the torques are those
-    that hold the reference. Raises ConfigError for a controller without a switching gain, or a box with impossible
-    rigs.
+    that hold the reference. With a `brake`, limit cycles of the loop are assessed, too. Raises ConfigError for a
+    controller without a switching gain, a box with impossible rigs, or an estimator that models the brake itself.
     """
     gains, low, high = gains_of(config), *speeds
     reference = AtSlip(box, config.controller.reference_slip)
@@ -93,6 +101,7 @@ def judge_gains(
         period_s=config.period_ns * 1e-9,
     )
     ways = [reaching(config, slip, gains.width, gains.time_bound(slip, reference.slip)) for slip in from_slips]
+    rows = balances(config, case, brake) if brake is not None else []
     return Assessment(
         config,
         box,
@@ -101,7 +110,9 @@ def judge_gains(
         fails_25=where_lost(case.margin_25, case.speeds),
         fails_26=where_lost(case.margin_26, case.speeds),
         reaching=ways,
-        advice=advice(case, ways),
+        advice=[*advice(case, ways), *cycle_advice(case, rows)],
+        brake=brake,
+        balances=rows,
     )
 
 

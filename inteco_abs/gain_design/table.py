@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 from rich.console import Group, RenderableType
@@ -25,11 +25,23 @@ _COLUMNS: Final = (
     ("of all\nN m", "torque_eq_least_nm"),
     ("Mq/g\nN m", "torque_swing_nm"),
 )
+_LOOP_COLUMNS: Final = (
+    "speed\nrad/s",
+    "delay\nms",
+    "slip seen\nwithin",
+    "bears\n1/s",
+    "law\n1/s",
+    "margin\nms",
+    "swings\nby",
+    "times\na second",
+)
 
 
 def render_design(report: Mapping[str, Any]) -> RenderableType:
     """The report of an assessment as a panel; a dash for infinite values."""
     body = [_facts(report), Text(), _table(report["curves"]), Text()]
+    if report["loop"]:
+        body += [_loop(report["loop"]), Text()]
     for one in report["advice"]:
         body += [
             Text.assemble((one["about"], "bold yellow"), f": {one['found']}"),
@@ -53,6 +65,9 @@ def _facts(report: Mapping[str, Any]) -> RenderableType:
         table.add_row("conditions for", Text(f"slips {low:g}..{high:g}"))
     spreads = (f"{name} {low:.4g}..{high:.4g}" for name, (low, high) in report["uncertain"].items())
     table.add_row("uncertain", Text(", ".join(spreads) or "nothing"))
+    if report["brake"]:
+        late = "lag {least_lag_s:g}..{most_lag_s:g} s, dead time up to {dead_time_s:g} s".format(**report["brake"])
+        table.add_row("brakes", Text(late))
     limit = f"{report['largest_torque_nm']:.3g} N m at its duty limit {report['brake_limit']:g}"
     table.add_row("brake", Text(limit))
     for way in report["reaching"]:
@@ -79,4 +94,18 @@ def _table(curves: Mapping[str, Any]) -> RenderableType:
         cells = [shown(curves[key][at]) for _, key in _COLUMNS]
         band = cells[8], shown(curves["torque_eq_most_nm"][at])
         table.add_row(*cells[:8], "..".join(band), cells[9])
+    return table
+
+
+def _loop(rows: Sequence[Mapping[str, Any]]) -> RenderableType:
+    """The loop with lag, dead time, sampling and estimator; a dash for infinite values."""
+    table = Table.grid(padding=(0, 1))
+    for head in _LOOP_COLUMNS:
+        table.add_column(Text(head, style="dim"), justify="right", no_wrap=True)
+    table.show_header = True
+    for row in rows:
+        ms = (1e3 * row["delay_s"], None if row["delay_margin_s"] is None else 1e3 * row["delay_margin_s"])
+        gains = row["most_gain_per_s"], row["gain_per_s"]
+        cells = (row["road_speed_rad_s"], ms[0], row["estimator_error"], *gains, ms[1], row["amplitude"])
+        table.add_row(*map(shown, cells), shown(row["frequency_hz"]) if row["amplitude"] != 0.0 else "")
     return table
