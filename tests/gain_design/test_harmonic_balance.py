@@ -2,6 +2,7 @@
 
 import json
 import math
+import random
 from dataclasses import replace
 
 import numpy as np
@@ -65,6 +66,19 @@ def test_the_boundary_layer_that_is_advised_does_not_swing():
     advised, switching = (list(swings(rigs, *given)) for given in ((LAYER, setting), ()))
     for (layer, _), (without, _) in zip(advised, switching, strict=True):
         assert layer < 0.25 * without
+
+
+@pytest.mark.long
+def test_predictions_hold_on_a_hundred_rigs():
+    draw = random.Random(7)
+    rigs = [(draw.uniform(0.005, 0.065), draw.uniform(0.0, 0.015)) for _ in range(100)]
+    predicted = [judged(brake=Brake(lag_s, lag_s, dead_time_s)).balances[2].amplitude for lag_s, dead_time_s in rigs]
+    ratios = [amplitude / row for (amplitude, _), row in zip(swings(rigs), predicted, strict=True)]
+    assert np.median(ratios) == pytest.approx(1.19, abs=0.04)
+    assert 0.95 < min(ratios) < max(ratios) < 1.5
+    layer = [amplitude for amplitude, _ in swings(rigs, LAYER, "controller.gains.width=0.08")]
+    assert np.median(layer) < 0.0005
+    assert max(layer) < 0.01
 
 
 def test_a_layer_that_is_too_thin_swings_and_is_reported():
