@@ -8,7 +8,7 @@ import z3
 from symbolic import ZERO, Abstract, Execution, Record, changed, copied, finite, known, lift, refuted, unknown, within
 
 from inteco_abs.config import load_config
-from inteco_abs.control import admit_request, count_speed, guard, pipeline, run_up
+from inteco_abs.control import count_speed, guard, pipeline, run_up
 from inteco_abs.control.guard import Guard
 from inteco_abs.control.phase_machine import MachineState
 from inteco_abs.signals import Phase, Reason, Sample
@@ -278,7 +278,7 @@ def ended(change=()):
     k, s = unknown(guard.GuardConstants, "k"), unknown(guard.GuardState, "s")
     machine, stop_request = unknown(MachineState, "machine"), unknown(int, "stop_request")
     execution, before, asked = Execution(Abstract(), change), copied(s), copied(machine)
-    execution.call(admit_request, k, s, machine, unknown(Sample, "sample"), stop_request)
+    execution.call(pipeline.admit_request, k, s, machine, unknown(Sample, "sample"), stop_request)
     asked_to_stop = z3.Or(stop_request != NONE, asked.reason != NONE, before.reason != NONE)
     tripped = z3.Implies(s.reason != NONE, z3.And(is_safe(s), machine.phase == int(Phase.FAULT)))
     return z3.And(tripped, z3.Implies(asked_to_stop, s.reason != NONE))
