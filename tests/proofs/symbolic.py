@@ -267,7 +267,7 @@ class Execution:
 
     def _statement(self, frame, node, given):
         match node:
-            case ast.Expr(value=ast.Constant()):
+            case ast.Pass() | ast.Expr(value=ast.Constant()):
                 return
             case ast.Expr(value=ast.Call() as call):
                 self._value(frame, call, given)

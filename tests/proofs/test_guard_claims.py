@@ -155,6 +155,16 @@ def every_finding_of_a_check_trips(run):
     return z3.And(*(z3.Implies(z3.And(given, it != NONE), run.after.reason != NONE) for given, it in found)), []
 
 
+def every_good_sample_is_judged(run):
+    """By each check, unless one before has found something."""
+    checks = [(name, True) for name in ("mean_speeds", "_judge_road", "_judge_wheel")] + [
+        ("plausible", run.k.judges_run_up)
+    ]
+    judged_by = (z3.Implies(wanted, given) for name, wanted in checks for given, _ in run.results(name))
+    good = run.sample.board_flags == 0
+    return z3.Implies(good, z3.Or(run.after.reason != NONE, z3.And(*judged_by))), run.execution.definitions
+
+
 def a_speed_above_the_limit_trips(run):
     ((given, speeds),) = run.results("mean_speeds")
     limit = run.k.over_speed
@@ -199,6 +209,13 @@ CLAIMS = [
     (a_request_that_is_not_finite_trips, guard, "math.isfinite(drive) and", "math.isfinite(drive) or"),
     (a_request_passes_unchanged_or_clamped, guard, "max(drive, 0.0)", "max(drive, brake)"),
     (every_finding_of_a_check_trips, guard, "if found != _NONE:", "if found == Reason.OVER_SPEED:"),
+    (every_good_sample_is_judged, guard, "found == _NONE and not flags:", "found == _NONE and flags:"),
+    (
+        every_good_sample_is_judged,
+        guard,
+        "    if k.judges_run_up and not plausible(",
+        "    if s.filling and not plausible(",
+    ),
     (a_speed_above_the_limit_trips, guard, "<= wheel <= limit and -limit <= road <=", "<= wheel <= limit and road <="),
     (enough_bad_exchanges_trip, guard, "s.in_a_row >= k.most_in_a_row", "s.in_a_row > k.most_in_a_row"),
     (enough_bad_exchanges_trip, guard, "max(skipped, 1 if flags else 0)", "skipped"),
