@@ -86,6 +86,12 @@ def test_a_stop_that_calls_its_controller_in_python_has_the_bits_of_python(contr
     assert len(made) == len(rigs), "no stop was left to Python"
 
 
+def test_an_observer_that_fails_on_a_rig_has_the_bits_of_python():
+    config = configured("controller.name=steps", "estimator.name=observer")
+    stops = assert_same_stops([draw("wild", 225)], config, ShellOfController(config))
+    assert "ValueError: the variance of the wheel's angle is negative" in stops.errors[0]
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("estimator", ESTIMATORS)
 def test_every_estimator_with_every_controller_has_the_bits_of_python(estimator):

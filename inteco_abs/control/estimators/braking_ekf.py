@@ -291,7 +291,8 @@ def correct(k: EkfConstants, s: EkfState, wheel_angle: float, road_angle: float)
     """Sequential correction by both angles: the second uses the covariance that the first leaves.
 
     A time between stamp and counts adds its variance times [x1 x2]'*[x1 x2] to that of the angles. Of the road's angle
-    as much of the wheel's is taken as the two errors have in common, so that what is left is independent.
+    as much of the wheel's is taken as the two errors have in common, so that what is left is independent. Raises
+    ValueError for a variance that is negative.
     """
     P, x = s.P, s.x
     wheel_error = wheel_angle * s.radius_ratio - x[0]
@@ -306,6 +307,8 @@ def correct(k: EkfConstants, s: EkfState, wheel_angle: float, road_angle: float)
     r, b = P[2], w2 * wheel_scale + taken * (1.0 - w0 * wheel_scale)
     v0, v1, v2, v3, v4, v5 = r[0] - b * w0, r[1] - b * w1, r[2] - b * w2, r[3] - b * w3, r[4] - b * w4, r[5] - b * w5
     v6, v7, v8, v9, v10 = r[6] - b * w6, r[7] - b * w7, r[8] - b * w8, r[9] - b * w9, r[10] - b * w10
+    if wheel_scale < 0.0:  # the root of it is an error in Python, and NaN in machine code
+        raise ValueError("the variance of the wheel's angle is negative: the rig is far from the observer's model")
     s.surprise += k.tuning.surprise_gain * (wheel_error * math.sqrt(wheel_scale) - s.surprise)
     road_error = road_angle - x[2] - b * wheel_error
     v = v0, v1, v2, v3, v4, v5, v6, v7, v8, v9, v10
