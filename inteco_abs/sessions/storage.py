@@ -7,14 +7,16 @@ import os
 import tempfile
 from collections.abc import Collection
 from contextlib import suppress
-from io import BytesIO
 from pathlib import Path
-from typing import Protocol, Self
+from typing import Final, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from inteco_abs.errors import SessionError, describe_disk
+
+_ROOM: Final = 1 << 22
+"""Bytes at first: the fewest for which numpy asks for huge pages."""
 
 
 class Rows(Protocol):
@@ -27,11 +29,22 @@ class Rows(Protocol):
         """All rows. Raises SessionError if the disk fails."""
 
 
-class RowsInMemory(BytesIO):
-    """Rows in memory."""
+class RowsInMemory:
+    """Rows in memory: in an array, for which numpy asks for huge pages; small ones cost more than the copy."""
 
-    def contents(self) -> bytes:
-        return self.getvalue()
+    def __init__(self) -> None:
+        self._room = np.empty(_ROOM, np.uint8)
+        self._size = 0
+
+    def write(self, data: bytes, /) -> None:
+        first, self._size = self._size, self._size + len(data)
+        if self._size > len(self._room):
+            before, self._room = self._room, np.empty(2 * self._size, np.uint8)
+            self._room[:first] = before[:first]
+        self._room[first : self._size] = np.frombuffer(data, np.uint8)
+
+    def contents(self) -> memoryview:
+        return self._room[: self._size].data.toreadonly()
 
 
 class ColumnsInMemory:
