@@ -70,7 +70,8 @@ def test_the_verbs_end_with_3_after_a_loss_of_power(short, container, altered, v
         again = tmp_path / f"{cut}.mcap"
         done = verb("recover", path, "-o", again, "--json")
         assert (done.code, done.json["ticks"]) == (3, ticks)
-        assert read_session(short).payload.startswith(read_session(again).payload)
+        payload = read_session(again).payload
+        assert read_session(short).payload[: len(payload)] == payload
         assert verb("info", path, "--json").json["ticks"] == ticks
 
 

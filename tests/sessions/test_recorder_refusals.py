@@ -108,7 +108,7 @@ def test_a_disk_that_fills_up_is_a_session_error_and_what_is_there_stays_readabl
         record(path, noise, quick.stop.card)
     session = read_session(path)
     assert session.incomplete
-    assert noise.startswith(session.payload)
+    assert noise.startswith(bytes(session.payload))
     assert session.metadata["rig"] == {"board": "sim:"}
 
 
