@@ -8,15 +8,12 @@ import tempfile
 from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
-from typing import Final, Protocol, Self
+from typing import Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from inteco_abs.errors import SessionError, describe_disk
-
-_ROOM: Final = 1 << 22
-"""Bytes at first: the fewest for which numpy asks for huge pages."""
 
 
 class Rows(Protocol):
@@ -30,10 +27,10 @@ class Rows(Protocol):
 
 
 class RowsInMemory:
-    """Rows in memory: in an array, for which numpy asks for huge pages; small ones cost more than the copy."""
+    """Rows in memory: in an array, for which numpy asks for huge pages where it is large."""
 
     def __init__(self) -> None:
-        self._room = np.empty(_ROOM, np.uint8)
+        self._room = np.empty(0, np.uint8)
         self._size = 0
 
     def write(self, data: bytes, /) -> None:
