@@ -20,7 +20,7 @@ def lies(session, whole):
     """What a session claims that the undamaged one does not say."""
     if session.incomplete:
         found = {"ticks": session.payload, "truth": session.truth.tobytes()}
-        return [name for name, data in found.items() if not contents(whole)[name].startswith(data)]
+        return [name for name, data in found.items() if contents(whole)[name][: len(data)] != data]
     return [name for name, value in contents(session).items() if value != contents(whole)[name]]
 
 

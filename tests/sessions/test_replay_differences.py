@@ -194,7 +194,7 @@ def test_a_wrong_time_is_reported_with_the_right_one(quick, retouched, replayed)
 
 def test_a_tick_that_is_missing_is_found_at_the_next_one(quick, replayed):
     session = quick.session
-    payload = session.payload[: 10 * TICK.size] + session.payload[11 * TICK.size :]
+    payload = b"".join([session.payload[: 10 * TICK.size], session.payload[11 * TICK.size :]])
     found = replayed(replace(session, payload=payload, ticks=TICK.array(payload)))
     assert (found.first.tick, found.first.field, found.first.replayed) == (10, "tick", "10")
 
