@@ -40,9 +40,9 @@ class Budget(NamedTuple):
     """What each law gets: (scatter + generations * size) candidates on `draws` rigs of each population."""
 
     scatter: int = 32
-    generations: int = 12
+    generations: int = 10
     size: int = 8
-    draws: int = 8
+    draws: int = 6
 
     @property
     def candidates(self) -> int:
