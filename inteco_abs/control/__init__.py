@@ -39,7 +39,13 @@ from inteco_abs.control.functions import Function, finite_demand, finite_estimat
 from inteco_abs.control.guard import Guard
 from inteco_abs.control.phase_machine import REST_COUNTS, PhaseMachine, demand_of
 from inteco_abs.control.pipeline import OVER, DecisionState, Pipeline, advance_and_admit
-from inteco_abs.control.slip_dynamics import BrakingModel, reaching_law_torque, reaching_time_bound
+from inteco_abs.control.slip_dynamics import (
+    BrakingModel,
+    SlipConstants,
+    reaching_law_torque,
+    reaching_time_bound,
+    slip_terms,
+)
 from inteco_abs.control.wheel_dynamics import WheelDynamics
 
 __all__ = [
@@ -70,6 +76,7 @@ __all__ = [
     "ReachingLaw",
     "Relay",
     "Setup",
+    "SlipConstants",
     "SpeedFilter",
     "TrackingLoop",
     "TwoWheels",
@@ -90,4 +97,5 @@ __all__ = [
     "preferred_estimator",
     "reaching_law_torque",
     "reaching_time_bound",
+    "slip_terms",
 ]

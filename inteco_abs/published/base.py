@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, make_dataclass
 from typing import Any, ClassVar
 
-from inteco_abs.control import Function, Gain, Setup
-from inteco_abs.control.slip_dynamics import BrakingModel, SlipConstants, slip_terms
+from inteco_abs.control import BrakingModel, Function, Gain, Setup, SlipConstants, slip_terms
 from inteco_abs.rig import brake_duty
 from inteco_abs.signals import BrakeDemand, Estimate
 
