@@ -12,6 +12,7 @@ from inteco_abs.control import ESTIMATORS, Controller, Estimator, make_controlle
 from inteco_abs.montecarlo.batch import BatchPlant
 from inteco_abs.plugins import Controllers, load_controller
 from inteco_abs.rig import RigVariation, wheel_slip
+from inteco_abs.rig.adhesion_curve import road_adhesion
 from inteco_abs.signals import Command, Estimate, Sample
 
 IDEAL: Final = "ideal"
@@ -54,6 +55,16 @@ class TrueState:
     def brake_torque(self) -> float:
         """Torque that the brake can hold, N m."""
         return self._batch.brake_torque.item(self._rig)
+
+    @property
+    def fade(self) -> float:
+        """Share of a cold brake's torque, 0..1."""
+        return float(self._batch.rig(self._rig)[1].fade)
+
+    def adhesion(self, slip: float) -> float:
+        """Adhesion of the road as it is now at `slip` in 0..1, without the load's ripple."""
+        k, s = self._batch.rig(self._rig)
+        return float(s.grip * road_adhesion(k, s, slip))
 
 
 class IdealPolicy:

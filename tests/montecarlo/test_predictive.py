@@ -90,6 +90,7 @@ def test_the_oracle_brakes_a_rig_without_lag_and_one_whose_road_steps(rig):
 
 class _Resting:
     wheel_speed = road_speed = slip = wheel_angle = brake_torque = 0.0
+    fade = 1.0
 
 
 @given(st.sampled_from(POPULATIONS), st.integers(0, 1000), st.floats(0.01, 1.0))
