@@ -123,6 +123,8 @@ class Prediction(NamedTuple):
     ripple_sine: float
     brake_dead_time_s: float
     brake_lag_s: float
+    brake_release_ratio: float = 1.0
+    """Its lag in releasing, as a share of that."""
 
 
 class Estimate(NamedTuple):

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import click
 
@@ -27,6 +28,10 @@ from inteco_abs.cli.run import brake, checked_replay, report_end
 from inteco_abs.cli.session_files import read_on_disk
 from inteco_abs.cli.terminal import print_json, say, show
 from inteco_abs.errors import AbsError, ConfigError
+
+if TYPE_CHECKING:
+    from inteco_abs.config import RigConfig
+    from inteco_abs.experiment import Plan
 
 _COOL_DOWN_S: Final = 30.0
 """What the manual asks for after a switch-off for heat (docs/facts/rig.md#how-the-rig-is-run)."""
@@ -48,6 +53,11 @@ _WORDS: Final = {
     help=f"Seconds for the brake to cool between stops; default: {_COOL_DOWN_S:g} on a real board, else 0.",
 )
 @click.option("--figure", type=FILE, help="Also draw all stops over one another: .png, .svg or .pdf.")
+@click.option(
+    "--learn",
+    is_flag=True,
+    help="Let each stop begin with what the observer learnt of the brake in the one before: keys of model.identified.",
+)
 @run_options()
 @dry_run_option
 @json_option
@@ -56,6 +66,7 @@ def repeat(
     folder: Path | None,
     pause_s: float | None,
     figure: Path | None,
+    learn: bool,
     options: RunOptions,
     dry_run: bool,
     as_json: bool,
@@ -75,18 +86,18 @@ def repeat(
     pause_s = pause_s if pause_s is not None else 0.0 if simulated(options.board) else _COOL_DOWN_S
     folder = folder or Path("sessions") / f"series-{datetime.now().astimezone():%Y%m%d-%H%M%S-%f}"
     if dry_run:
-        return _rehearse(count, folder, pause_s, places, options, as_json=as_json)
+        return _rehearse(count, folder, pause_s, places, options, learn=learn, as_json=as_json)
     for condition in places:
         condition()
     with ensured_directory(folder, new=True):
-        worst, paths = _brake(count, folder, pause_s, options)
+        worst, paths = _brake(count, folder, pause_s, options, learn=learn)
     _report(paths, figure, as_json=as_json)
     return worst
 
 
-def _brake(count: int, folder: Path, pause_s: float, options: RunOptions) -> tuple[int, list[Path]]:
+def _brake(count: int, folder: Path, pause_s: float, options: RunOptions, *, learn: bool) -> tuple[int, list[Path]]:
     """The series: the worst exit code, and the sessions that it recorded."""
-    worst, paths = 0, list[Path]()
+    worst, paths, learnt = 0, list[Path](), list[str]()
     for number in range(count):
         if number and pause_s:
             say(f"{pause_s:g} s for the brake to cool; Ctrl-C ends the series", err=True)
@@ -95,7 +106,10 @@ def _brake(count: int, folder: Path, pause_s: float, options: RunOptions) -> tup
             except KeyboardInterrupt:
                 return INTERRUPTED, paths
         path = _session(folder, number + 1, count)
-        rig, plan = replace(options, seed=options.seed + number).plan(path)
+        settings = (*options.settings, *learnt)
+        rig, plan = replace(options, seed=options.seed + number, settings=settings).plan(path)
+        if learn:
+            _require_learning(rig)
         stop = brake(rig, plan, options)
         report_end(stop)
         problem = checked_replay(rig, plan, stop)
@@ -107,15 +121,48 @@ def _brake(count: int, folder: Path, pause_s: float, options: RunOptions) -> tup
         worst = max(worst, stop.exit_code)
         if stop.exit_code not in {0, LOSSES}:
             break
+        if learn:
+            learnt = _learnt(rig, plan, path)
+            say(f"learnt: {' '.join(f'--set {setting}' for setting in learnt)}", err=True)
     return worst, paths
 
 
+def _learnt(rig: RigConfig, plan: Plan, path: Path) -> list[str]:
+    """What the stop's observer learnt, as settings."""
+    from inteco_abs.analysis import decisions
+    from inteco_abs.control import build_pipeline
+    from inteco_abs.sessions import read_session
+
+    pipeline = build_pipeline(rig, plan.controllers)
+    decisions(read_session(path), pipeline)
+    learnt: Mapping[str, float] = cast(Any, pipeline.estimator).learnt
+    return [f"model.identified.{key}={value!r}" for key, value in learnt.items()]
+
+
+def _require_learning(rig: RigConfig) -> None:
+    from inteco_abs.control import ESTIMATORS
+
+    learning = [name for name, spec in ESTIMATORS.items() if hasattr(spec.works, "learnt")]
+    if rig.estimator.name not in learning:
+        problem = f"{rig.estimator.name} learns nothing of the brake; use --estimator {' or '.join(learning)}"
+        raise ConfigError.of("--learn", problem)
+
+
 def _rehearse(
-    count: int, folder: Path, pause_s: float, places: list[Condition], options: RunOptions, *, as_json: bool
+    count: int,
+    folder: Path,
+    pause_s: float,
+    places: list[Condition],
+    options: RunOptions,
+    *,
+    learn: bool,
+    as_json: bool,
 ) -> int:
     places.insert(0, partial(_check_new, folder))
     try:
         rig, plan = options.plan(_session(folder, 1, count))
+        if learn:
+            _require_learning(rig)
     except ConfigError as error:
         return refuse_start(places, error, as_json=as_json)
     return check_start([Planned(rig, plan, count)], places, pause_s=pause_s, as_json=as_json)

@@ -236,7 +236,9 @@ class IdentifiedConfig(Section):
     brake_torques_nm: Annotated[list[Annotated[float, Interval(ge=0.0, le=100.0)]], MinLen(2)] | None = None
     """Torque that the brake settles to at each of them, rising."""
     brake_dead_time_s: Annotated[float, Interval(ge=0.0, le=0.2)] | None = None
-    """Dead time of the brake, for the observer, which limits it to 2 to 30 ms."""
+    """Dead time of the brake, for the observer, which limits it to 2 to 30 ms; `adaptive-observer` to 2 to 60 ms."""
+    brake_release_ratio: Annotated[float, Interval(ge=0.3, le=4.0)] | None = None
+    """Lag of the brake in releasing over that in rising, for the observers."""
     drive_stall_torque_nm: _Positive | None = None
     """Stall torque of the drive motor, N m; the guard judges the run-up by it, and no controller uses it."""
     drive_no_load_speed_rad_s: _Positive | None = None

@@ -133,6 +133,8 @@ class Identification:
             own["c31"] = parameters.c31
         if known("brake_dead_time"):
             own["brake_dead_time_s"] = max(0.0, by_name["brake_dead_time"].value)
+        if known("brake_release_ratio"):
+            own["brake_release_ratio"] = min(max(by_name["brake_release_ratio"].value, 0.3), 4.0)
         if known("drive_stall_torque", "drive_no_load_speed"):
             own["drive_stall_torque_nm"] = by_name["drive_stall_torque"].value
             own["drive_no_load_speed_rad_s"] = by_name["drive_no_load_speed"].value

@@ -19,10 +19,10 @@ CONFIG = load_config(
 )
 
 
-def driven(rolling, rig, name="adaptive-observer", ticks=1200):
-    """A rig that is driven from 120 rad/s on for 0.6 s."""
+def driven(rolling, rig, name="adaptive-observer", ticks=1200, speed_rad_s=120.0):
+    """A rig that is driven from there on for 0.6 s."""
     estimator = make_estimator(replace(CONFIG, estimator=replace(CONFIG.estimator, name=name)))
-    run = rolling(rig, 120.0, observer=estimator)
+    run = rolling(rig, speed_rad_s, observer=estimator)
     for _ in range(ticks):
         run.tick(lambda _seen: DRIVE)
     return run
@@ -69,3 +69,37 @@ def test_a_dead_time_far_from_the_expected_one_is_found_by_its_onset(rolling, de
     for _ in range(round((dead_time_s + 0.04) * 2000)):
         seen = run.tick(lambda _seen: Command(0.0, 0.7))
     assert seen.outlook.brake_dead_time_s == pytest.approx(dead_time_s, abs=0.012)
+
+
+@pytest.mark.parametrize("dead_time_s", [0.0, 0.005])
+@pytest.mark.parametrize("speed_rad_s", [60.0, 120.0])
+def test_the_slip_by_a_brake_without_lag_is_known_after_40_ms(rolling, dead_time_s, speed_rad_s):
+    quick = replace(RigVariation().parameters, c31=1e6)
+    rig = RigVariation(quick, brake_dead_time_s=dead_time_s, brake_map="measured")
+    run = driven(rolling, rig, speed_rad_s=speed_rad_s)
+    for _ in range(80):
+        seen = run.tick(lambda _seen: Command(0.0, 1.0))
+    assert seen.slip == pytest.approx(run.plant.slip, abs=0.006)
+
+
+def test_a_brake_that_acts_far_more_than_expected_is_taken_for_one_without_lag(rolling):
+    quick = replace(RigVariation().parameters, c31=1e6)
+    run = driven(rolling, RigVariation(quick, brake_dead_time_s=0.005, brake_map="measured"), speed_rad_s=60.0)
+    lags = [run.tick(lambda _seen: Command(0.0, 1.0)).outlook for _ in range(60)]
+    assert lags[20].brake_lag_s == pytest.approx(0.05, abs=0.01)
+    assert lags[-1].brake_lag_s == pytest.approx(0.004, abs=0.002)
+    assert lags[-1].brake_dead_time_s == pytest.approx(0.005, abs=0.002)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 3.0])
+def test_a_slow_release_is_told_from_a_slow_rise(rolling, ratio):
+    rig = RigVariation(brake_dead_time_s=0.01, brake_map="measured", brake_release_ratio=ratio)
+    run = driven(rolling, rig)
+    assert run.observer.learnt == {}
+    for duty in (0.8, 0.0, 0.8, 0.0):
+        for _ in range(120):
+            seen = run.tick(lambda _seen, duty=duty: Command(0.0, duty))
+    learnt = run.observer.learnt
+    assert learnt["brake_release_ratio"] == pytest.approx(ratio, rel=0.25)
+    assert learnt["brake_dead_time_s"] == seen.outlook.brake_dead_time_s == pytest.approx(0.01, abs=0.003)
+    assert 1.0 / learnt["c31"] == pytest.approx(seen.outlook.brake_lag_s) == pytest.approx(0.05, rel=0.2)

@@ -65,20 +65,23 @@ def test_what_arrived_in_a_tick_before_is_known_as_far_back_as_the_longest_dead_
     )
 
 
-def lagged(torque, means, lag):
+def lagged(torque, means, lag_s, release_ratio):
     """Torque at the end of so many ticks with a first-order lag, and its mean over them."""
-    total, left = 0.0, math.exp(-PERIOD_S / lag)
+    total = 0.0
     for settled in means:
+        lag = lag_s if settled >= torque else lag_s * release_ratio
+        left = math.exp(-PERIOD_S / lag)
         total += settled + (torque - settled) * (1.0 - left) * lag / PERIOD_S
         torque = settled + (torque - settled) * left
     return torque, total / len(means)
 
 
-@given(SEEDS, st.one_of(DEAD_TIMES, WHOLE), LAGS, st.floats(0.0, FULL_NM))
-def test_looking_ahead_is_the_lag_of_all_that_is_under_way(seed, dead_time, lag, torque):
+@given(SEEDS, st.one_of(DEAD_TIMES, WHOLE), LAGS, st.floats(0.5, 3.0), st.floats(0.0, FULL_NM))
+def test_looking_ahead_is_the_lag_of_all_that_is_under_way(seed, dead_time, lag, release_ratio, torque):
     written, ticks = History(seed), int(dead_time / PERIOD_S) + 1
-    horizon, then, mean = ahead(written.pending.k, written.pending, torque, dead_time, lag)
-    exact_then, exact_mean = lagged(torque, [written.mean(dead_time, 1 + tick) for tick in range(ticks)], lag)
+    horizon, then, mean = ahead(written.pending.k, written.pending, torque, dead_time, lag, release_ratio)
+    means = [written.mean(dead_time, 1 + tick) for tick in range(ticks)]
+    exact_then, exact_mean = lagged(torque, means, lag, release_ratio)
     assert horizon == pytest.approx(ticks * PERIOD_S, rel=1e-12)
     assert then == pytest.approx(exact_then, abs=1e-9)
     assert mean == pytest.approx(exact_mean, abs=1e-3)  # it takes the lag within a tick for a straight line
@@ -87,7 +90,8 @@ def test_looking_ahead_is_the_lag_of_all_that_is_under_way(seed, dead_time, lag,
 @given(SEEDS, DEAD_TIMES, LAGS)
 def test_the_newest_command_is_just_about_to_come_through_at_the_horizon(seed, dead_time, lag):
     (_, then, _), (_, later, _) = (
-        ahead(line.k, line, 1.0, dead_time, lag) for line in (History(seed, last=each).pending for each in (2.0, 3.0))
+        ahead(line.k, line, 1.0, dead_time, lag, 1.0)
+        for line in (History(seed, last=each).pending for each in (2.0, 3.0))
     )
     share = 1.0 - dead_time / PERIOD_S % 1.0
     assert later - then == pytest.approx(share * (1.0 - math.exp(-PERIOD_S / lag)), abs=1e-9)

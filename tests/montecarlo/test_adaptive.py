@@ -12,11 +12,13 @@ pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 FIRST = 700_000
 FACTORS = {
     "nothing": ("", 0.0012),
-    "no lag": ("[rig]\nbrake_lag_s = 0", 0.005),
-    "a lag of 5 ms": ("[rig]\nbrake_lag_s = 0.005", 0.003),
-    "a lag of 100 ms": ("[rig]\nbrake_lag_s = 0.1", 0.003),
-    "a dead time of 35 ms": ("[rig]\nbrake_dead_time_s = 0.035", 0.004),
-    "a dead time of 50 ms": ("[rig]\nbrake_dead_time_s = 0.05", 0.008),
+    "no lag": ("[rig]\nbrake_lag_s = 0", 0.002),
+    "no lag and no dead time": ("[rig]\nbrake_lag_s = 0\nbrake_dead_time_s = 0", 0.0012),
+    "a lag of 5 ms": ("[rig]\nbrake_lag_s = 0.005", 0.002),
+    "a lag of 100 ms": ("[rig]\nbrake_lag_s = 0.1", 0.002),
+    "a dead time of 35 ms": ("[rig]\nbrake_dead_time_s = 0.035", 0.003),
+    "a dead time of 50 ms": ("[rig]\nbrake_dead_time_s = 0.05", 0.005),
+    "a slow release": ("[rig]\nbrake_release_ratio = 3", 0.0025),
     "a small tyre": ("[parameters]\nr1 = { factor = 0.96 }", 0.0015),
     "a large tyre": ("[parameters]\nr1 = { factor = 1.04 }", 0.0015),
     "a bent disc": ("[encoders]\nsecond_harmonic_counts = 0.5", 0.002),

@@ -1,6 +1,7 @@
 """The verb `inteco-abs repeat`."""
 
 import json
+import tomllib
 from io import StringIO
 from types import SimpleNamespace
 
@@ -11,6 +12,7 @@ from rich.console import Console
 from inteco_abs.analysis.stop_statistics import METRICS, UNITS, MetricStatistics, metric_statistics
 from inteco_abs.cli import repeat
 from inteco_abs.sessions import read_session
+from inteco_abs.signals import Phase
 from inteco_abs.views.series import render_series
 
 QUICK = ("--virtual", "--set", "experiment.start_speed_rad_s=20", "--set", "experiment.hold_s=0.05")
@@ -50,6 +52,28 @@ def test_a_safety_stop_ends_the_series_and_reports_the_rest(main_here, tmp_path)
     assert sorted(path.name for path in (tmp_path / "series").iterdir()) == ["stop-1.mcap", "stop-2.mcap"]
     assert "stop time" in run.stdout
     assert (tmp_path / "all.svg").read_text().startswith("<?xml")
+
+
+LEARNING = ("--controller", "predictive-reaching", "--estimator", "adaptive-observer", "--learn", "--virtual")
+
+
+def test_a_stop_begins_with_what_the_one_before_learnt_of_the_brake(main_here, tmp_path):
+    run = main_here("repeat", 2, *LEARNING, "--rig", "hard:7", "-o", "series", check=0)
+    first, second = (read_session(tmp_path / "series" / f"stop-{number}.mcap") for number in (1, 2))
+    known = tomllib.loads(second.attachments["config.toml"].decode())["model"]["identified"]
+    assert set(known) == {"c31", "brake_dead_time_s", "brake_release_ratio"}
+    assert not tomllib.loads(first.attachments["config.toml"].decode())["model"]["identified"]
+    braking = first.ticks[first.ticks["phase"] == Phase.BRAKING]
+    assert known["brake_dead_time_s"] == pytest.approx(braking["c2"][-1], rel=0.1)  # it learns on until the road stops
+    assert f"--set model.identified.c31={known['c31']!r}" in run.stderr
+    main_here("replay", "series/stop-2.mcap", check=0)
+
+
+def test_an_estimator_that_learns_nothing_is_refused_before_anything_moves(main_here, tmp_path):
+    for more in ((), ("--dry-run",)):
+        run = main_here("repeat", 2, *QUICK, "--learn", "-o", "series", *more, check=2)
+        assert "--learn: moving-window learns nothing of the brake; use --estimator observer or adaptive" in run.stderr
+    assert not (tmp_path / "series").exists()
 
 
 def test_an_interrupt_while_the_brake_cools_ends_the_series(main_here, monkeypatch):

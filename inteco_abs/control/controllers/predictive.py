@@ -78,12 +78,14 @@ def _find_torques(k: PredictiveConstants, s: PredictiveState, estimate: Estimate
     factor = seen.adhesion_factor + seen.ripple_cosine * cosine + seen.ripple_sine * sine
     factor_rate = (seen.ripple_sine * cosine - seen.ripple_cosine * sine) * x1
     mu = formula(k.contact.parameters, max(slip, _RISEN_SLIP))
-    rate, slope = _approach(k, switching, x2)
+    rate, slope = _approach(k, switching, x2, seen.brake_release_ratio)
     wanted, by_rate, by_adhesion = demanded_torque(k.contact, slip, -rate, x1, x2, factor * mu)
     wanted -= seen.excess_torque_nm
     slip_rate = -rate + (lagged - wanted) / by_rate
     wanted_rate = by_adhesion * mu * factor_rate - by_rate * slope * slip_rate
-    s.settled_nm = lagged + seen.brake_lag_s * (k.kM * (wanted - lagged) + wanted_rate)
+    torque_rate = k.kM * (wanted - lagged) + wanted_rate
+    lag_s = seen.brake_lag_s if torque_rate >= 0.0 else seen.brake_lag_s * seen.brake_release_ratio
+    s.settled_nm = lagged + lag_s * torque_rate
     s.torque_nm, s.switching, s.excess_torque_nm = wanted, switching, seen.excess_torque_nm
     s.adhesion_factor, s.brake_dead_time_s, s.brake_lag_s = (
         seen.adhesion_factor,
@@ -93,9 +95,11 @@ def _find_torques(k: PredictiveConstants, s: PredictiveState, estimate: Estimate
     return True
 
 
-def _approach(k: PredictiveConstants, switching: float, road_speed: float) -> tuple[float, float]:
-    """Decay rate of the slip error, 1/s, and its derivative by the error."""
+def _approach(k: PredictiveConstants, switching: float, road_speed: float, release_ratio: float) -> tuple[float, float]:
+    """Decay rate of the slip error, 1/s, and its derivative by the error; lower if the brake is slow to release."""
     a, error = min(k.a * _START_RAD_S / road_speed, k.a_most), abs(switching)
+    if release_ratio > 1.0:
+        a /= release_ratio
     if error * elementary.raised(k.k, 2) <= a:
         return k.k * switching, k.k
     rate = math.sqrt(2.0 * a * error - elementary.raised(a / k.k, 2))

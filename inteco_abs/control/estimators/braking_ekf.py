@@ -20,7 +20,10 @@ from inteco_abs.rig.friction import formula, formula_slope
 
 _LONGEST_STEP_S: Final = 0.001
 """Longest step of the explicit integration; longer ones would oscillate at little slip."""
-_SHORTEST_DEAD_TIME_S: Final = 0.002
+SHORTEST_DEAD_TIME_S: Final = 0.002
+_LEAST_RELEASE: Final = 0.3
+_MOST_RELEASE: Final = 4.0
+"""Of the lag in releasing over the one in rising."""
 _WALK_AT_RAD_S: Final = 100.0
 _UNSETTLED: Final = 0.5
 """Standard deviation of the brake's torque at the start, as a share of the torque commanded last."""
@@ -77,10 +80,15 @@ class EkfTuning:
     """The estimate is clamped to 2 ms and this, and the lag's to the next two."""
     shortest_lag_s: float = 0.025
     longest_lag_s: float = 0.090
+    release_ratio: float = 1.0
+    """Prior mean of the lag in releasing over the one in rising."""
+    release_sd: float = 0.0
     latch_jitter_s: float = 0.0
     """Deviation of the time between stamp and counts, common to both wheels."""
     learns_radius: bool = False
     """Whether the ratio of the radii is learnt in the run-up."""
+    doubt: float = math.inf
+    """Mean innovation as in `surprise`, below whose negative a brake that acts is taken for a quick one."""
     finds_onset: bool = False
     """Whether a dead time far from the prior one is found by the instant at which the wheel departs from rolling."""
     learns_second: bool = False
@@ -107,15 +115,15 @@ class EkfState:
     """State of an extended Kalman filter.
 
     States: angle and speed of wheel and road; lagged brake torque; excess torque; factor on the adhesion of (8) and
-    its ripple, cosine and sine in the wheel's angle; dead time and lag of the brake.
+    its ripple, cosine and sine in the wheel's angle; dead time and lag of the brake, and the lag's factor in releasing.
 
     The torque follows M+ = b + (M - b)*exp(-T/tau), with b the map's torque of the command a dead time ago. A changing
     torque, as in reaching, makes dead time and lag observable; the road's deceleration the adhesion, the wheel's the
     torque.
     """
 
-    x: Row = field(default_factory=lambda: [0.0] * 11)
-    P: list[Row] = field(default_factory=lambda: [[0.0] * 11 for _ in range(11)])
+    x: Row = field(default_factory=lambda: [0.0] * 12)
+    P: list[Row] = field(default_factory=lambda: [[0.0] * 12 for _ in range(12)])
     """Covariances of the states."""
     wheel_by_factor: float = 0.0
     """Acceleration per adhesion factor."""
@@ -131,18 +139,19 @@ class EkfState:
 def begin(k: EkfConstants, s: EkfState, pending: DelayState, wheel: DiscState, road: DiscState) -> None:
     """Start from two rolling wheels, or again in the middle of braking, with the brake's last command."""
     x, P, newest_nm, sd = s.x, s.P, pending.torques[pending.newest], k.tuning
-    for i in range(11):
+    for i in range(12):
         x[i] = 0.0
-        for j in range(11):
+        for j in range(12):
             P[i][j] = 0.0
     ratio = s.radius_ratio
     x[0], x[1], x[2], x[3], x[4] = wheel.angle * ratio, wheel.speed * ratio, road.angle, road.speed, newest_nm
-    x[6], x[9], x[10] = 1.0, sd.dead_time_s, sd.lag_s
+    x[6], x[9], x[10], x[11] = 1.0, sd.dead_time_s, sd.lag_s, sd.release_ratio
     for i, disc in ((0, wheel), (2, road)):
         P[i][i], P[i + 1][i + 1] = disc.P[0][0], disc.P[1][1] + elementary.raised(sd.road_walk_rad_s, 2)
         P[i][i + 1] = P[i + 1][i] = disc.P[0][1]
     P[4][4] = elementary.raised(_UNSETTLED * newest_nm, 2)
     deviations = sd.torque_sd_nm, sd.adhesion_sd, sd.ripple_sd, sd.ripple_sd, sd.dead_time_sd_s, sd.lag_sd_s
+    P[11][11] = elementary.raised(sd.release_sd, 2)
     for i in range(6):
         P[5 + i][5 + i] = elementary.raised(deviations[i], 2)
     s.surprise, s.step_in_s = 0.0, sd.step_after_s
@@ -164,8 +173,9 @@ def braking_ekf(
     if s.step_in_s <= 0.0 and abs(s.surprise) > k.tuning.surprise:
         _allow_step(k, s)
     x = s.x
-    x[9] = min(max(x[9], _SHORTEST_DEAD_TIME_S), k.tuning.longest_dead_time_s)
+    x[9] = min(max(x[9], SHORTEST_DEAD_TIME_S), k.tuning.longest_dead_time_s)
     x[10] = min(max(x[10], k.tuning.shortest_lag_s), k.tuning.longest_lag_s)
+    x[11] = min(max(x[11], _LEAST_RELEASE), _MOST_RELEASE)
     return True
 
 
@@ -177,6 +187,7 @@ class _Transition(NamedTuple):
     rolling: float
     by_dead_time: float
     by_lag: float
+    by_release: float
     mu: float
     turned: float
     turned_sine: float
@@ -202,9 +213,10 @@ def _carried(
     e_sine: float,
     e_dead: float,
     e_lag: float,
+    e_release: float,
 ) -> Tuple5:
     """The Jacobian times a vector of states: its first five; the others stay."""
-    T, left, rolling, by_dead_time, by_lag, mu, turned, turned_sine, by_x1, by_x2, a, b, c, d, d1 = t
+    T, left, rolling, by_dead_time, by_lag, by_release, mu, turned, turned_sine, by_x1, by_x2, a, b, c, d, d1 = t
     e_mu = mu * (e_factor + turned * e_cosine + turned_sine * e_sine) + by_x1 * e1 + by_x2 * e2
     e_torque = e_M + e_d + d1 * e1
     return (
@@ -212,15 +224,17 @@ def _carried(
         e1 + T * (a * e_mu + b * e_torque),
         e_th2 + T * e2,
         rolling * e2 + T * (c * e_mu + d * e_torque),
-        left * e_M + by_dead_time * e_dead + by_lag * e_lag,
+        left * e_M + by_dead_time * e_dead + by_lag * e_lag + by_release * e_release,
     )
 
 
 def predict(k: EkfConstants, s: EkfState, pending: DelayState, T: float, ago: int) -> None:
     """Advance by `T` in s, which ends `ago` ticks before the newest command."""
     x, p = s.x, k.contact.parameters
-    th1, x1, th2, x2, M, lag = x[0], x[1], x[2], x[3], x[4], x[10]
+    th1, x1, th2, x2, M = x[0], x[1], x[2], x[3], x[4]
     settled, later = arrived(k.delay, pending, x[9], ago)
+    release = x[11] if settled < M else 1.0
+    lag = x[10] * release
     left = elementary.exp(-T / lag)
     slip = braking_slip(x1, x2, p)
     if not 0.0 <= slip <= 1.0:
@@ -237,7 +251,8 @@ def predict(k: EkfConstants, s: EkfState, pending: DelayState, T: float, ago: in
         left,
         rolling,
         (1.0 - left) * later,
-        by_lag,
+        by_lag * release,
+        by_lag * x[10] if settled < M else 0.0,
         mu,
         turned,
         turned_sine,
@@ -258,24 +273,26 @@ def predict(k: EkfConstants, s: EkfState, pending: DelayState, T: float, ago: in
 
 def _carry(P: list[Row], t: _Transition) -> None:
     """Carry the covariances along, first their rows, then their columns."""
-    p5, p6, p7, p8, p9, p10 = P[5], P[6], P[7], P[8], P[9], P[10]
+    p5, p6, p7, p8, p9, p10, p11 = P[5], P[6], P[7], P[8], P[9], P[10], P[11]
     r = P[0]
-    t0 = _carried(t, r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10])
+    t0 = _carried(t, r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10], r[11])
     r = P[1]
-    t1 = _carried(t, r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10])
+    t1 = _carried(t, r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10], r[11])
     r = P[2]
-    t2 = _carried(t, r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10])
+    t2 = _carried(t, r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10], r[11])
     r = P[3]
-    t3 = _carried(t, r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10])
+    t3 = _carried(t, r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10], r[11])
     r = P[4]
-    t4 = _carried(t, r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10])
-    for r in (p5, p6, p7, p8, p9, p10):
-        r[0], r[1], r[2], r[3], r[4] = _carried(t, r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10])
+    t4 = _carried(t, r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10], r[11])
+    for r in (p5, p6, p7, p8, p9, p10, p11):
+        r[0], r[1], r[2], r[3], r[4] = _carried(
+            t, r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10], r[11]
+        )
     for j in range(5):
-        a, b, c, d, e, f = p5[j], p6[j], p7[j], p8[j], p9[j], p10[j]
+        a, b, c, d, e, f, g = p5[j], p6[j], p7[j], p8[j], p9[j], p10[j], p11[j]
         r = P[j]
-        r[0], r[1], r[2], r[3], r[4] = _carried(t, t0[j], t1[j], t2[j], t3[j], t4[j], a, b, c, d, e, f)
-        r[5], r[6], r[7], r[8], r[9], r[10] = a, b, c, d, e, f
+        r[0], r[1], r[2], r[3], r[4] = _carried(t, t0[j], t1[j], t2[j], t3[j], t4[j], a, b, c, d, e, f, g)
+        r[5], r[6], r[7], r[8], r[9], r[10], r[11] = a, b, c, d, e, f, g
 
 
 def _widen(k: EkfTuning, P: list[Row], T: float, swing: float, x2: float) -> None:
@@ -300,20 +317,21 @@ def correct(k: EkfConstants, s: EkfState, wheel_angle: float, road_angle: float)
         return False  # also catches NaN
     r = P[0]
     w0, w1, w2, w3, w4, w5, w6 = r[0], r[1], r[2], r[3], r[4], r[5], r[6]
-    w7, w8, w9, w10 = r[7], r[8], r[9], r[10]
-    w = w0, w1, w2, w3, w4, w5, w6, w7, w8, w9, w10
+    w7, w8, w9, w10, w11 = r[7], r[8], r[9], r[10], r[11]
+    w = w0, w1, w2, w3, w4, w5, w6, w7, w8, w9, w10, w11
     jitter, common = k.noise + k.jitter * x[1] * x[1], k.jitter * x[1] * x[3]
     wheel_scale, taken = 1.0 / (w0 + jitter), common / jitter
     r, b = P[2], w2 * wheel_scale + taken * (1.0 - w0 * wheel_scale)
     v0, v1, v2, v3, v4, v5 = r[0] - b * w0, r[1] - b * w1, r[2] - b * w2, r[3] - b * w3, r[4] - b * w4, r[5] - b * w5
     v6, v7, v8, v9, v10 = r[6] - b * w6, r[7] - b * w7, r[8] - b * w8, r[9] - b * w9, r[10] - b * w10
+    v11 = r[11] - b * w11
     if wheel_scale < 0.0:  # the root of it is an error in Python, and NaN in machine code
         raise ValueError("the variance of the wheel's angle is negative: the rig is far from the observer's model")
     s.surprise += k.tuning.surprise_gain * (wheel_error * math.sqrt(wheel_scale) - s.surprise)
     road_error = road_angle - x[2] - b * wheel_error
-    v = v0, v1, v2, v3, v4, v5, v6, v7, v8, v9, v10
+    v = v0, v1, v2, v3, v4, v5, v6, v7, v8, v9, v10, v11
     road_scale = 1.0 / (v2 - taken * v0 + (k.noise + k.jitter * x[3] * x[3] - taken * common))
-    for i in range(11):
+    for i in range(12):
         a, b, r = w[i] * wheel_scale, v[i] * road_scale, P[i]
         x[i] = x[i] + a * wheel_error + b * road_error
         r[0] = r[0] - a * w0 - b * v0
@@ -327,6 +345,7 @@ def correct(k: EkfConstants, s: EkfState, wheel_angle: float, road_angle: float)
         r[8] = r[8] - a * w8 - b * v8
         r[9] = r[9] - a * w9 - b * v9
         r[10] = r[10] - a * w10 - b * v10
+        r[11] = r[11] - a * w11 - b * v11
     return True
 
 

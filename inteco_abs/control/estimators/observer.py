@@ -11,6 +11,7 @@ from inteco_abs import elementary
 from inteco_abs.config import RigConfig
 from inteco_abs.control.estimators.angles import rad_per_count, turned
 from inteco_abs.control.estimators.braking_ekf import (
+    SHORTEST_DEAD_TIME_S,
     EkfConstants,
     EkfState,
     EkfTuning,
@@ -27,7 +28,7 @@ from inteco_abs.control.estimators.eccentricity import (
     rolling_wheel,
     straight,
 )
-from inteco_abs.control.estimators.prediction import DelayLine, DelayState, braking_slip, outlook, tell
+from inteco_abs.control.estimators.prediction import DelayLine, DelayState, arrived, braking_slip, outlook, tell
 from inteco_abs.control.estimators.registry import EstimatorSpec
 from inteco_abs.control.functions import Function
 from inteco_abs.control.wheel_dynamics import WheelDynamics
@@ -46,12 +47,20 @@ _SAMPLES: Final = 3
 """Samples until there is a speed."""
 _LATEST_ONSET_S: Final = 0.07
 """Time after the first command after which the brake acts for certain."""
-_DEPARTED: Final = 0.5
+_DEPARTED: Final = 0.7
 """Mean deviation from rolling, in standard deviations, at which it acts."""
 _NOTICED_S: Final = 0.015
 """Time from the onset to that deviation."""
 _ONSET_SD_S: Final = 0.008
 """Standard deviation of a dead time that was found by its onset."""
+_QUICK_LAG_S: Final = 0.004
+_QUICKLY_NOTICED_S: Final = 0.006
+"""As above, of a quick brake."""
+_MISLED_SD: Final = (0.03, 5.0, 0.03, 1.0)
+"""Standard deviations of angles and speeds of wheel and road, rad and rad/s, when the filter took it for a slow one."""
+_BRAKE: Final = (4, 5, 9, 10, 11)
+_QUICK_SD: Final = (2.0, 0.34, 0.003, 0.003, 0.3)
+"""Of its torque, excess torque, dead time, lag and its factor in releasing."""
 _RATIO_S: Final = 0.15
 """Time constant of the means by which the radii are compared: their eccentric discs turn a few times in it."""
 _RATIO_FROM_RAD_S: Final = 60.0
@@ -85,6 +94,8 @@ class ObserverState:
     samples: int = 0
     asked_s: float = 0.0
     """Time since the first torque of this braking was commanded."""
+    acted_s: float = 0.0
+    """That at which the wheel departed from rolling; 0 before, and where the brake was taken for a quick one."""
     departure: float = 0.0
     """Mean deviation of the wheel from one that still rolls, each over its standard deviation."""
     wheel_mean: float = 0.0
@@ -112,6 +123,7 @@ def observe(k: ObserverConstants, s: ObserverState, sample: Sample, command: Com
         if drive <= 0.0 and s.road.speed > _BRAKING_FROM_RAD_S and s.samples >= _SAMPLES:
             released = s.pending.torques[s.pending.newest - 1] == 0.0
             s.braking, s.asked_s, s.departure = True, 0.0 if released else _LATEST_ONSET_S, 0.0
+            s.acted_s = 0.0
             begin(k.ekf, s.ekf, s.pending, s.wheel, s.road)
     braking, x, ratio = s.braking, s.ekf.x, s.ekf.radius_ratio
     wheel_speed, road_speed = (x[1] / ratio, x[3]) if braking else (s.wheel.speed, s.road.speed)
@@ -160,6 +172,28 @@ def _brake(
         restart(disc, road, road_angle, x[3], _HANDED_OVER_SD)
     elif k.ekf.tuning.finds_onset and s.asked_s < _LATEST_ONSET_S:
         _find_onset(k, s, wheel_angle, road_angle, dt_s)
+    if s.acted_s > 0.0 and s.ekf.surprise < -k.ekf.tuning.doubt:
+        _take_for_quick(k, s)
+
+
+def _take_for_quick(k: ObserverConstants, s: ObserverState) -> None:
+    """Begin again with a brake without much lag, as the wheel is braked far more than expected; once in a stop.
+
+    From a lag of 50 ms the filter, which is linear about it, does not come to one of 5 ms.
+    """
+    x, P, pending = s.ekf.x, s.ekf.P, s.pending
+    moved = x[0], x[1], x[2], x[3]
+    begin(k.ekf, s.ekf, pending, s.wheel, s.road)
+    for i in range(4):
+        x[i] = moved[i]
+        for j in range(4):
+            P[i][j] = 0.0
+        P[i][i] = elementary.raised(_MISLED_SD[i], 2)
+    x[9], x[10], x[11] = max(SHORTEST_DEAD_TIME_S, s.acted_s - _QUICKLY_NOTICED_S), _QUICK_LAG_S, 1.0
+    x[4], _ = arrived(k.ekf.delay, pending, x[9], 0)
+    for i in range(5):
+        P[_BRAKE[i]][_BRAKE[i]] = elementary.raised(_QUICK_SD[i], 2)
+    s.acted_s = 0.0
 
 
 def _find_onset(k: ObserverConstants, s: ObserverState, wheel_angle: float, road_angle: float, dt_s: float) -> None:
@@ -174,18 +208,17 @@ def _find_onset(k: ObserverConstants, s: ObserverState, wheel_angle: float, road
     variance = wheel.P[0][0] + k.disc.noise + k.disc.jitter * wheel.speed * wheel.speed
     deviation = (straight(wheel, wheel_angle) - predicted) / math.sqrt(variance)
     s.departure += k.ekf.tuning.surprise_gain * (deviation - s.departure)
-    if abs(s.departure) > _DEPARTED:
+    follow(k.disc, wheel, wheel_angle, dt_s)
+    follow(k.disc, s.road, road_angle, dt_s)
+    if s.departure < -_DEPARTED:
         if x[9] < s.asked_s - _NOTICED_S - _ONSET_SD_S:
             begin(k.ekf, s.ekf, s.pending, wheel, s.road)
             x[4] *= 1.0 - elementary.exp(-_NOTICED_S / x[10])
             x[9] = s.asked_s - _NOTICED_S
-            P[1][1] += 1.0
+            P[1][1] += elementary.raised(_MISLED_SD[1], 2)
             P[4][4], P[9][9] = elementary.raised(0.5 * x[4], 2), elementary.raised(_ONSET_SD_S, 2)
-        s.asked_s = _LATEST_ONSET_S
-        return
-    follow(k.disc, wheel, wheel_angle, dt_s)
-    follow(k.disc, s.road, road_angle, dt_s)
-    if s.ekf.surprise > k.ekf.tuning.surprise and x[9] < s.asked_s:
+        s.acted_s, s.asked_s = s.asked_s, _LATEST_ONSET_S
+    elif s.ekf.surprise > k.ekf.tuning.surprise and x[9] < s.asked_s:
         begin(k.ekf, s.ekf, s.pending, wheel, s.road)
         x[4], x[9] = 0.0, s.asked_s
         P[4][4], P[9][9] = 0.0, elementary.raised(_ONSET_SD_S, 2)
@@ -219,6 +252,14 @@ class Observer(ObserverState):
         gain = period_s / _RATIO_S if spread.learns_radius else 0.0
         self.k = ObserverConstants(disc, ekf, count_rad, brake_map.points, gain)
 
+    @property
+    def learnt(self) -> dict[str, float]:
+        """What it learnt of the brake in the last stop, as keys of `model.identified`; empty before one."""
+        lag_s = self.ekf.x[10]
+        if lag_s == 0.0:
+            return {}
+        return {"c31": 1.0 / lag_s, "brake_dead_time_s": self.ekf.x[9], "brake_release_ratio": self.ekf.x[11]}
+
     def update(self, sample: Sample, command: Command = Command.SAFE) -> Estimate:
         """Estimate at the instant of `sample`; valid from the third sample on."""
         return observe(self.k, self, sample, command)
@@ -230,23 +271,45 @@ def _observer(tuning: EkfTuning, config: RigConfig, parameters: RigParameters) -
         tuning,
         dead_time_s=tuning.dead_time_s if own.brake_dead_time_s is None else own.brake_dead_time_s,
         lag_s=tuning.lag_s if own.c31 is None else 1.0 / own.c31,
+        release_ratio=tuning.release_ratio if own.brake_release_ratio is None else own.brake_release_ratio,
     )
     per_turn, brake_map = config.encoders.counts_per_turn, nominal_brake_map(config.model)
     return Observer(parameters, per_turn, 1.0 / config.loop.rate_hz, spread, brake_map)
 
 
 ANY_BRAKE: Final = EkfTuning(
-    dead_time_sd_s=0.012,
-    lag_sd_s=0.01,
+    dead_time_sd_s=0.0035,
+    lag_sd_s=0.05,
+    adhesion_sd=0.13,
+    adhesion_walk=0.054,
+    ripple_sd=0.008,
+    torque_sd_nm=0.05,
+    torque_walk_nm=0.6,
+    torque_per_swing=0.027,
+    lag_torque_walk_nm=0.022,
+    lag_torque_per_swing=0.0035,
+    wheel_walk_rad_s=1.0,
+    road_walk_rad_s=0.068,
+    count_noise=1.53,
+    step_adhesion=0.027,
+    surprise=0.73,
+    surprise_gain=0.143,
     longest_dead_time_s=0.060,
     shortest_lag_s=0.002,
     longest_lag_s=0.120,
-    latch_jitter_s=0.00006,
+    release_ratio=1.87,
+    release_sd=1.62,
+    latch_jitter_s=0.000052,
     learns_radius=True,
     learns_second=True,
+    doubt=1.2,
     finds_onset=True,
 )
-"""For any brake and any tyre: what it starts from is that of `EkfTuning`, what it accepts is wider."""
+"""For any brake and any tyre: it accepts more than `EkfTuning`, and expects less of lag and release.
+
+From `tools/tune_predictive adaptive --generations 40 --size 12 --draws 30 --sigma 0.3`; then walks of the wheel and the
+torque and the ripple were moved by hand towards those of `EkfTuning`, until `rough` and fade fell no more.
+"""
 
 
 SPEC: Final = EstimatorSpec(

@@ -75,19 +75,22 @@ def arrived(k: DelayConstants, s: DelayState, dead_time: float, ago: int) -> tup
     return newer + late * (older - newer), (older - newer) / k.period_s
 
 
-def ahead(k: DelayConstants, s: DelayState, torque: float, dead_time: float, lag: float) -> tuple[float, float, float]:
+def ahead(
+    k: DelayConstants, s: DelayState, torque: float, dead_time: float, lag: float, release_ratio: float
+) -> tuple[float, float, float]:
     """Return the time in s until the next command acts, the torque then and its mean until then; now it is `torque`."""
     passed = dead_time / k.period_s
     ticks = int(passed)
     late = passed - ticks
-    left = elementary.exp(-k.period_s / lag)
-    half = 0.5 * (1.0 + left)
+    rising = elementary.exp(-k.period_s / lag)
+    falling = rising if release_ratio == 1.0 else elementary.exp(-k.period_s / (lag * release_ratio))
     total, oldest = 0.0, s.newest - min(ticks + 1, k.length - 1)
     before = s.torques[oldest]
     for newest in s.torques[oldest + 1 : s.newest + 1]:
         settled = newest + late * (before - newest)
         away = torque - settled
-        total += settled + away * half
+        left = rising if away < 0.0 else falling
+        total += settled + away * (0.5 * (1.0 + left))
         torque = settled + away * left
         before = newest
     return (ticks + 1) * k.period_s, torque, total / (ticks + 1)
@@ -98,8 +101,8 @@ def outlook(
 ) -> Prediction:
     """Prediction from the states of `braking_ekf`, in which the wheel's angle is `radius_ratio` times the real one."""
     th1, x1, x2, factor, cosine, sine = state[0], state[1], state[3], state[6], state[7], state[8]
-    excess, dead_time, lag = state[5], state[9], state[10]
-    horizon, then, mean = ahead(delay, pending, state[4], dead_time, lag)
+    excess, dead_time, lag, release_ratio = state[5], state[9], state[10], state[11]
+    horizon, then, mean = ahead(delay, pending, state[4], dead_time, lag, release_ratio)
     halfway = th1 + 0.5 * horizon * x1
     turned_sine, turned = elementary.sin_cos(halfway / radius_ratio)
     scale = factor + cosine * turned + sine * turned_sine
@@ -118,6 +121,7 @@ def outlook(
         sine,
         dead_time,
         lag,
+        release_ratio,
     )
 
 

@@ -44,7 +44,7 @@ _LEAVING_S: Final = 0.5
 
 _ESTIMATE: Final = struct.Struct("<2q4d?")
 """Number of the request, of the controller that is asked; time since the last sample, estimate."""
-_OBSERVED: Final = struct.Struct("<2q4d?10d")
+_OBSERVED: Final = struct.Struct("<2q4d?11d")
 """The fields of `_ESTIMATE`, and a prediction."""
 _COPY: Final = struct.Struct("<2q")
 """Number of the request, of the controller to copy."""
