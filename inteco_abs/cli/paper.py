@@ -40,7 +40,7 @@ _FORMATS: Final = ("png", "pdf")
 )
 @json_option
 def paper(folder: Path, draws: int, as_json: bool) -> int:
-    """Reproduce the paper's simulation, experiment and claim.
+    """Reproduce the paper's simulation, experiment and claims.
 
     It writes figures of three panels (PNG and PDF, their data as CSV), and a table that compares the paper's reaching
     law with constant-rate sliding mode control, at equal Mq and at equal reaching time (table.csv, table.md, every stop
@@ -109,5 +109,5 @@ def _flat(row: Mapping[str, Any]) -> dict[str, Any]:
         flat |= {f"{of}_{metric}": value for metric, value in row[of].items()}
     if compared := row["comparison"]:
         flat |= {f"ratio_{metric}": value for metric, value in compared["ratios"].items()}
-        flat |= {key: compared[key] for key in ("better", "worse", "confirmed")}
+        flat |= {key: compared[key] for key in ("better", "worse", "neither_arrived", "confirmed")}
     return flat

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from inteco_abs.control import reaching_time_bound
 from inteco_abs.montecarlo import IDEAL, METRICS, Progress, StopResults, run_all
 from inteco_abs.paper.cases import REFERENCE, Law, PaperCondition, paper_conditions
-from inteco_abs.paper.comparison import ACCURACY, Comparison, compare, verdict
+from inteco_abs.paper.comparison import ACCURACY, Comparison, Similarity, compare, compare_with_simulation, verdict
 from inteco_abs.quantities import finite
 
 SHOWN: Final = (
@@ -28,7 +28,8 @@ SHOWN: Final = (
     "stop_distance_m",
 )
 """Metrics of the table, out of METRICS."""
-_DRAWN: Final = ("simulation", "experiment-window", "experiment-euler")
+_SIMULATION: Final = "simulation"
+_EXPERIMENTS: Final = ("experiment-window", "experiment-euler")
 _SHARD: Final = 5
 """Rigs in a shard: a stop takes some 0.05 s, so the progress bar moves steadily."""
 _SLOWEST_RAD_S: Final = 10.0
@@ -108,6 +109,7 @@ class Reproduction:
             "simulation": _simulation(self.rows[0], self.traces[0]),
             "rows": [row.facts() for row in self.rows],
             "verdicts": {name: verdict(rivals) for name, rivals in self._comparisons().items()},
+            "similarity": {name: one._asdict() for name, one in self._similarities().items()},
             "figures": {trace.name: trace.title for trace in self.traces},
         }
 
@@ -118,6 +120,12 @@ class Reproduction:
             if row.comparison is not None:
                 found.setdefault(row.condition.name, {})[row.law.pairing] = row.comparison
         return found
+
+    def _similarities(self) -> dict[str, Similarity]:
+        """The paper's law in each experiment against its simulation."""
+        ours = {row.condition.name: row.stops for row in self.rows if row.comparison is None}
+        simulation = ours[_SIMULATION]
+        return {name: compare_with_simulation(ours[name], simulation) for name in _EXPERIMENTS}
 
     def records(self) -> list[dict[str, Any]]:
         """Every stop of every row."""
@@ -130,7 +138,7 @@ def reproduce(draws: int, progress: Progress | None = None) -> Reproduction:
     outcomes = run_all([condition.experiment(law) for condition, law in pairs], shard=_SHARD, progress=progress)
     rows = tuple(_rows(pairs, outcomes))
     drawn = {row.condition.name: row for row in rows if row.comparison is None}
-    return Reproduction(rows, tuple(_trace(drawn[name]) for name in _DRAWN))
+    return Reproduction(rows, tuple(_trace(drawn[name]) for name in (_SIMULATION, *_EXPERIMENTS)))
 
 
 def _rows(pairs: Sequence[tuple[PaperCondition, Law]], outcomes: Sequence[StopResults]) -> Iterator[PaperRow]:

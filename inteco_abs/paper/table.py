@@ -136,6 +136,8 @@ def _theory(found: Mapping[str, Any]) -> str:
 
 def _verdicts(report: Mapping[str, Any]) -> Iterator[str]:
     yield from (f"{condition}: {words}" for condition, words in report["verdicts"].items())
+    for condition, found in report["similarity"].items():
+        yield f"{condition}, similar to the simulation: {found['words']}"
 
 
 def draw_trace(columns: Mapping[str, Any], title: str, path: Path) -> None:

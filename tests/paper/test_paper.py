@@ -93,6 +93,14 @@ def test_the_window_makes_the_experiment_better_than_euler(report):
     assert window["torque_variation_nm_per_s"] < 0.1 * euler["torque_variation_nm_per_s"]
 
 
+def test_the_experiment_is_not_similar_to_the_simulation(report):
+    for condition, found in report["similarity"].items():
+        ratio = medians(report, condition)["slip_rms_fixed_true"] / medians(report, "simulation")["slip_rms_fixed_true"]
+        assert found["ratios"]["slip_rms_fixed_true"] == pytest.approx(ratio)
+        assert ratio > 100.0
+        assert not found["confirmed"]
+
+
 @pytest.mark.parametrize("count", [1, 2, 20])
 def test_the_experiment_has_the_requested_number_of_rigs_which_can_all_hold_the_slip(count):
     draws = {one.name: one.draws for one in paper_conditions(count)}["experiment-window"]

@@ -106,6 +106,8 @@ def test_the_files_say_what_json_says(written):
     assert "Made by `inteco-abs paper --draws 2`." in text
     for condition, words in facts["verdicts"].items():
         assert f"- {condition}: {words}\n" in text
+    for condition, similarity in facts["similarity"].items():
+        assert f"- {condition}, similar to the simulation: {similarity['words']}\n" in text
     assert facts["rows"][3]["rigs"] in text
 
 

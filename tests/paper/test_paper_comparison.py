@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from inteco_abs.montecarlo import METRICS, StopResults
-from inteco_abs.paper import compare, verdict
+from inteco_abs.paper import compare, compare_with_simulation, verdict
 
 RIGS = 20
 
@@ -64,6 +64,33 @@ def test_a_stop_that_failed_confirms_nothing():
     found = against_one(stops([0.8] * 19 + [np.nan]))
     assert not found.confirmed
     assert found.words.startswith("a stop has no slip RMS")
+
+
+@pytest.mark.parametrize(("lost", "confirmed"), [(9, True), (10, False), (20, False)])
+def test_laws_that_both_never_arrive_on_the_median_rig_confirm_nothing(lost, confirmed):
+    entry = [np.nan] * lost + [0.2] * (RIGS - lost)
+    found = compare(stops([0.8] * RIGS, band_entry_s=entry), stops([1.0] * RIGS, band_entry_s=entry))
+    assert (found.confirmed, found.neither_arrived) == (confirmed, lost)
+    if not confirmed:
+        assert found.words.startswith(f"neither law ever comes within 0.01 of the reference on {lost} of 20 rigs, slip")
+
+
+def test_a_rig_on_which_one_of_the_laws_arrives_counts():
+    found = compare(stops([0.8] * RIGS), stops([1.0] * RIGS, band_entry_s=[np.nan] * RIGS))
+    assert (found.confirmed, found.neither_arrived) == (True, 0)
+
+
+@pytest.mark.parametrize(
+    ("rms", "reaching", "confirmed"),
+    [(1.9, 1.9, True), (2.1, 1.0, False), (1.0, 2.1, False), (1.0, np.nan, False), (np.nan, 1.0, False)],
+)
+def test_an_experiment_is_similar_up_to_twice_the_simulations_figures(rms, reaching, confirmed):
+    entry = [0.2] * (RIGS - 1) + [np.nan]
+    experiment = stops([rms] * RIGS, reaching_time_s=[reaching] * RIGS, band_entry_s=entry)
+    found = compare_with_simulation(experiment, stops([1.0]))
+    assert (found.confirmed, found.never_arrived) == (confirmed, 1)
+    assert found.words.startswith("claim confirmed;" if confirmed else "claim not confirmed;")
+    assert found.words.endswith("; 1 of 20 rigs never come within 0.01 of the reference")
 
 
 @pytest.mark.parametrize(
