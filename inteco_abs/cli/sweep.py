@@ -201,7 +201,8 @@ def _draws(rigs: Sequence[str], *, factors: bool) -> list[SampleSet]:
     from inteco_abs.montecarlo import one_at_a_time, parse_draws
 
     draws = [parse_draws(text) for text in dict.fromkeys(rigs)]
-    if len({(one.population, one.text) for one in draws}) > len({one.population for one in draws}):
+    # the names are in those of files, and some disks take Lab for lab
+    if len({(one.population, one.text) for one in draws}) > len({one.population.casefold() for one in draws}):
         raise ConfigError.of("--rigs", "two different populations have the same name; rename one of the files")
     return [each for one in draws for each in one_at_a_time(one)] if factors else draws
 

@@ -75,7 +75,7 @@ def export_fmu(
 def _source(found: list[Variable], k: Constants) -> str:
     numbers = {"ROOM": _ON_THE_WAY, "MOST_DELAY": MOST_DELAY_TICKS, "VARIABLE_COUNT": len(found)}
     defined = [f"#define {name} {number}\n" for name, number in numbers.items()]
-    starts = {"k.max_step_s": initializer(STEP_S), "s": initializer(State.at_speeds(k, 0.0, 0.0))}
+    starts = {"k.max_step_s": initializer(STEP_S), "s": initializer(State.at_speeds(k, 0.0, 0.0)), "token": "TOKEN"}
     own = files("inteco_abs.interfaces").joinpath("rig_fmu.c").read_text(encoding="utf-8")
     parts = [*defined, f"#define STEP_S {initializer(STEP_S)}\n", translated(_FUNCTIONS), own]
     return "".join([*parts, c_of_variables(found, starts)])

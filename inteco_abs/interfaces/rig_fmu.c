@@ -49,6 +49,7 @@ struct rig {
     int64_t road_count;
     double slip;
     enum mode mode;
+    char token[40];
 };
 
 struct variable {
@@ -284,6 +285,8 @@ static enum status deserialise(struct instance *c, const char *bytes, size_t siz
 {
     if (size != sizeof **state)
         return refuse(c, "a saved state has %zu bytes, not %zu", sizeof **state, size);
+    if (strncmp(bytes + offsetof(struct rig, token), TOKEN, sizeof (*state)->token) != 0)
+        return refuse(c, "the saved state is of another FMU");
     if (save(c, state) != OK)
         return ERROR;
     memcpy(*state, bytes, size);

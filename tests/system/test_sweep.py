@@ -112,6 +112,13 @@ def test_wrong_input_gets_one_clear_answer(monkeypatch, tmp_path, arguments, wor
     assert list(tmp_path.iterdir()) == []
 
 
+def test_populations_whose_names_some_disks_take_for_one_are_refused(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "Hard.toml").write_text('base = "hard"\n')
+    with pytest.raises(ConfigError, match="two different populations have the same name"):
+        cli.main(["sweep", "--rigs", "hard:1", "--rigs", "Hard.toml:1"], standalone_mode=False)
+
+
 def test_a_table_that_cannot_be_written_is_an_error_after_the_result(monkeypatch, tmp_path, capsys):
     monkeypatch.chdir(tmp_path)
 
