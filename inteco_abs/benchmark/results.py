@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import cache
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from inteco_abs.benchmark.laws import Law
-from inteco_abs.montecarlo import SampleSet, SweepRow, one_at_a_time, parse_draws
+from inteco_abs.montecarlo import SampleSet, SweepRow, bootstrap_ranks, one_at_a_time, parse_draws
 from inteco_abs.quantities import finite
 
 POPULATIONS: Final = ("nominal", "hard", "rough", "slow", "capped", "wild")
@@ -29,8 +28,7 @@ METRICS: Final = {
 }
 """Metric of a sweep by its name here."""
 _SHARES: Final = {"median": 0.5, "p99": 0.99}
-_RESAMPLES: Final = 20_000
-_CONFIDENCE: Final = (0.025, 0.975)
+_CONFIDENCE: Final = 0.95
 _WORSE: Final = 1.05
 """Ratio of slip RMS from which a law counts as worse: rounding differs by less, the next draws by more."""
 _LEAST_WORSE: Final = 1e-4
@@ -76,20 +74,7 @@ def _spread(values: NDArray[np.float64]) -> Iterator[tuple[str, Any]]:
         place = share * (len(ranked) - 1)
         below, above = ranked[math.floor(place)], ranked[math.ceil(place)]
         yield name, _rounded(below if below == above else below + (above - below) * (place % 1.0))
-        yield f"{name}_interval", [_rounded(ranked[rank]) for rank in _ranks(len(ranked), share)]
-
-
-@cache
-def _ranks(count: int, share: float) -> tuple[int, int]:
-    """Places, among ordered values, of the bootstrap's interval of a quantile.
-
-    Among `count` values drawn with replacement the r-th smallest is at the place of the r-th smallest of as many
-    uniform numbers, which has the distribution Beta(r, count + 1 - r): no stop need be drawn again.
-    """
-    rank = share * (count - 1) + 1.0
-    drawn = np.random.default_rng(0).beta(rank, count + 1.0 - rank, _RESAMPLES)
-    low, high = np.quantile(drawn, _CONFIDENCE).tolist()
-    return min(int(low * count), count - 1), min(int(high * count), count - 1)
+        yield f"{name}_interval", [_rounded(ranked[rank]) for rank in bootstrap_ranks(len(ranked), share, _CONFIDENCE)]
 
 
 def _rounded(value: float) -> float | None:

@@ -15,7 +15,7 @@ from inteco_abs.montecarlo.policies import (
     PolicyFactory,
     TrueState,
 )
-from inteco_abs.montecarlo.results import METRICS, Distribution, ResultSummary, StopResults, Trace
+from inteco_abs.montecarlo.results import METRICS, Distribution, ResultSummary, StopResults, Trace, bootstrap_ranks
 from inteco_abs.montecarlo.samples import SampleSet, parse_draws
 from inteco_abs.montecarlo.stops import SHARD, Progress, run_all, run_stops
 from inteco_abs.montecarlo.store import SweepFolder, SweepRow
@@ -50,6 +50,7 @@ __all__ = [
     "Trace",
     "TrueState",
     "Unit",
+    "bootstrap_ranks",
     "combinations",
     "cores",
     "count_workers",

@@ -1,5 +1,6 @@
-"""The oracle: the predictive controller with full knowledge of its rig, as a bound on performance.
+"""The oracle: the predictive controller with full knowledge of its rig: what knowledge is worth.
 
+Another law may do better with less.
 It knows the rig's parameters and true state at every sample, but not the future; the brake has its dead time and lag.
 It takes the brake for one without hysteresis, and the wheel for one that does not wear.
 """

@@ -268,6 +268,8 @@ class SweepRow:
                 "p99": finite(spread.p99),
                 "max": finite(spread.largest),
                 "worst_seed": self.seeds.item(spread.worst),
+                "median_interval_90": list(map(finite, spread.median_interval)),
+                "p99_interval_90": list(map(finite, spread.p99_interval)),
             }
             for name, spread in summary.spreads.items()
         }

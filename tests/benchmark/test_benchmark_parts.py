@@ -2,11 +2,9 @@
 
 import math
 
-import numpy as np
 import pytest
 
 from inteco_abs.benchmark import Law, compared, ranges, read_laws, results_of, shipped_laws, write_laws
-from inteco_abs.benchmark.results import _ranks
 from inteco_abs.benchmark.tuning import Bounds, Budget, search
 from inteco_abs.errors import ConfigError
 from inteco_abs.montecarlo import InThisProcess, SweepFolder, SweepPlan, parse_draws, work
@@ -41,16 +39,6 @@ def test_the_search_begins_a_decade_around_each_gain_within_its_range():
     assert found["controller.gains.Kp"] == (30.0, 3.0, 100.0)
     assert found["controller.gains.bias"] == (0.6, 0.06, 1.0)
     assert set(found) == {"controller.gains.Kp", "controller.gains.bias", "estimator.jerk_density"}
-
-
-@pytest.mark.parametrize(("count", "share"), [(20, 0.5), (300, 0.5), (300, 0.99)])
-def test_the_interval_is_that_of_stops_drawn_again(count, share):
-    noise = np.random.default_rng(3)
-    ranked = np.sort(noise.lognormal(size=count))
-    drawn = np.quantile(noise.choice(ranked, (4000, count)), share, axis=1)
-    expected = np.quantile(drawn, (0.025, 0.975))
-    places = np.searchsorted(ranked, expected)
-    assert np.abs(np.array(_ranks(count, share)) - places).max() <= max(2, 0.02 * count)
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""The predictive controller on sampled rigs, and the lower bound of the oracle.
+"""The predictive controller on sampled rigs, and the oracle.
 
 Of seeds that nothing was tuned on.
 """
@@ -67,25 +67,25 @@ def test_it_is_a_tenth_of_the_papers_law_at_most_on_every_rig():
     assert (ours["slip_rms_true"] < papers["slip_rms_true"] / 10.0).all()
 
 
-# the floor
+# the oracle
 
 
 @pytest.mark.untraced
-def test_the_oracle_is_the_floor():
+def test_what_the_oracle_knows_halves_the_error():
     config = configured(OURS)
     rigs = draws("hard", 2)
-    ours, floor = run_stops(rigs, config), run_stops(rigs, config, maker=Oracle(config))
-    assert set(floor.errors) == {""}
-    assert (floor["slip_rms_true"] < 0.5 * ours["slip_rms_true"]).all()
-    assert (floor["overshoot"] < 0.001).all()
+    ours, oracle = run_stops(rigs, config), run_stops(rigs, config, maker=Oracle(config))
+    assert set(oracle.errors) == {""}
+    assert (oracle["slip_rms_true"] < 0.5 * ours["slip_rms_true"]).all()
+    assert (oracle["overshoot"] < 0.001).all()
 
 
 @pytest.mark.parametrize("rig", [draw("nominal", FIRST), replace(draw("late", FIRST), grip_step_after_s=0.3)])
 def test_the_oracle_brakes_a_rig_without_lag_and_one_whose_road_steps(rig):
     config = configured(OURS, *SLOWER)
-    floor = run_stops([rig], config, maker=Oracle(config), run_up_from_rad_s=95.0)
-    assert floor.errors == ("",)
-    assert floor["slip_rms_true"][0] < 0.005
+    oracle = run_stops([rig], config, maker=Oracle(config), run_up_from_rad_s=95.0)
+    assert oracle.errors == ("",)
+    assert oracle["slip_rms_true"][0] < 0.005
 
 
 class _Resting:

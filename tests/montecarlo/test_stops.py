@@ -18,6 +18,7 @@ from inteco_abs.montecarlo import (
     ConfiguredPolicy,
     Experiment,
     StopResults,
+    bootstrap_ranks,
     run_all,
     run_stops,
 )
@@ -301,3 +302,13 @@ def test_the_99th_percentile_of_101_stops_is_the_last_but_one(never):
 
 def test_locked_stops_are_counted_by_share():
     assert made_up(lock_fraction=[0.0, 0.001, 0.5, math.nan]).summary().locked == 0.5
+
+
+@pytest.mark.parametrize(("count", "share", "confidence"), [(20, 0.5, 0.95), (300, 0.5, 0.9), (300, 0.99, 0.9)])
+def test_the_interval_is_that_of_stops_drawn_again(count, share, confidence):
+    noise = np.random.default_rng(3)
+    ranked = np.sort(noise.lognormal(size=count))
+    drawn = np.quantile(noise.choice(ranked, (4000, count)), share, axis=1)
+    expected = np.quantile(drawn, (0.5 - confidence / 2.0, 0.5 + confidence / 2.0))
+    places = np.searchsorted(ranked, expected)
+    assert np.abs(np.array(bootstrap_ranks(count, share, confidence)) - places).max() <= max(2, 0.02 * count)

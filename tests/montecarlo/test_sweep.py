@@ -198,7 +198,14 @@ def test_the_json_of_a_sweep_has_nothing_infinite(rows):
     assert (facts["rigs"], facts["controller"], facts["estimator"]) == ("hard:3-4", "steps", "moving-window")
     assert facts["settings"] == {"controller.gains.first": "0.3"}
     assert (facts["stops"], facts["never_in_band_share"], facts["locked_share"]) == (2, 1.0, 0.0)
-    assert facts["metrics"]["slip_rms_true"] == {"median": None, "p99": None, "max": None, "worst_seed": 3}
+    assert facts["metrics"]["slip_rms_true"] == {
+        "median": None,
+        "p99": None,
+        "max": None,
+        "worst_seed": 3,
+        "median_interval_90": [None, None],
+        "p99_interval_90": [None, None],
+    }
     locking = rows[1].facts()
     assert locking["locked_share"] == 1.0
     assert 0.0 < locking["metrics"]["stop_time_s"]["median"] <= locking["metrics"]["stop_time_s"]["max"] < 1.0
