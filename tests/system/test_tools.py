@@ -175,7 +175,7 @@ def test_compare_controllers_sets_ours_beside_the_oracle_and_its_targets(untrace
     headings, _, ours, oracle, *_ = cells(printed)
     assert (ours[0], oracle[0]) == ("predictive-reaching, observer", "oracle")
     assert {len(row) for row in cells(printed)} == {len(headings)}
-    assert float(ours[1]) > float(oracle[1])
+    assert float(ours[1].split()[0]) > float(oracle[1].split()[0])
     assert "hard:1000-1001: 2 rigs;" in printed
     assert "capped:1000-1001: 1 rig;" in printed
     assert "1 of 2 left out" in printed
