@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import difflib
 import errno
+import re
 import traceback
 from collections.abc import Callable, Iterable, Sequence
 from datetime import date, time
@@ -25,6 +26,8 @@ from typing import Final, NamedTuple, Self
 
 _LONGEST_VALUE: Final = 60
 _LONGEST: Final = 2000
+_PLACE: Final = re.compile(r".+, line \d+")
+"""A note that `line_of` made."""
 """Characters that are kept of another library's error."""
 _ROOM: Final = "make room there, or name another place"
 _ELSEWHERE: Final = "name another place, where you may write"
@@ -214,9 +217,10 @@ def line_of(file: str, line: int | None) -> str:
 
 
 def describe_error(error: BaseException) -> str:
-    """Describe an error by type, text and place: where its note says, or where it was raised."""
+    """Describe an error by type, text and place: where its last note says, or where it was raised."""
     frames = traceback.extract_tb(error.__traceback__)
     raised = [line_of(frames[-1].filename, frames[-1].lineno)] if frames else []
-    place = "".join(f" ({each})" for each in getattr(error, "__notes__", raised)[-1:])
+    noted = [note for note in getattr(error, "__notes__", ()) if _PLACE.fullmatch(note)]
+    place = "".join(f" ({each})" for each in (noted or raised)[-1:])
     text = str(error)
     return f"{type(error).__name__}: {text if len(text) <= _LONGEST else text[:_LONGEST] + '...'}{place}"

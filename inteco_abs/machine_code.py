@@ -9,7 +9,6 @@ from __future__ import annotations
 import ast
 import hashlib
 import inspect
-import pickle
 import re
 from collections import namedtuple
 from collections.abc import Callable, Sequence
@@ -32,6 +31,8 @@ except ImportError as error:
     raise AbsError("many rigs at once need numba: pip install 'inteco-abs[lab]'") from error
 
 _PACKAGE: Final = Path(elementary.__file__).parent
+_PICKLE: Final = b"\x80"
+"""Its first byte, which no other byte of a version is."""
 _DIGEST_BYTES: Final = hashlib.sha256().digest_size
 _PLACE: Final = re.compile(r'File "([^"]+)", line (\d+)')
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -121,10 +122,8 @@ class _CheckedFiles(IndexDataCacheFile):
 
     def _load_index(self) -> Any:
         with suppress(Exception):  # whatever bytes there are
-            with open(self._index_path, "rb") as file:  # noqa: PTH123  as numba does
-                pickle.load(file)  # noqa: S301  the version, as numba wrote it
-                whole = _is_whole(file.read())
-            if whole:
+            content = Path(self._index_path).read_bytes()
+            if _is_whole(content[content.index(_PICKLE, 1) :]):  # behind the version, which numba writes first
                 return super()._load_index()
         return {}
 

@@ -132,7 +132,7 @@ class Identification:
         if known("brake_lag"):
             own["c31"] = parameters.c31
         if known("brake_dead_time"):
-            own["brake_dead_time_s"] = max(0.0, by_name["brake_dead_time"].value)
+            own["brake_dead_time_s"] = min(max(0.0, by_name["brake_dead_time"].value), 0.2)
         if known("brake_release_ratio"):
             own["brake_release_ratio"] = min(max(by_name["brake_release_ratio"].value, 0.3), 4.0)
         if known("drive_stall_torque", "drive_no_load_speed"):

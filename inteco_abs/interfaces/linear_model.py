@@ -60,7 +60,8 @@ def linearised(parameters: RigParameters, slip: float, road_speed: float) -> Lin
     ValueError for a point outside these ranges, and where the brake would need a duty outside `u0`..1 to hold the slip.
     """
     if not (0.0 < slip < 1.0 and 0.0 < road_speed < math.inf):
-        raise ValueError(f"slip {slip!r}, road speed {road_speed!r} rad/s: must be above 0 and below 1, and above 0")
+        point = f"slip {slip!r}, road speed {road_speed!r} rad/s"
+        raise ValueError(f"{point}: the slip must be above 0 and below 1, the speed above 0 and finite")
     f, g = BrakingModel(parameters).terms(slip, road_speed)
     torque = -f / g
     duty = brake_duty(torque, parameters)

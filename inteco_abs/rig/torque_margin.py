@@ -26,7 +26,8 @@ def holding_torque(variation: RigVariation, slip: float, road_speed: float) -> f
 
 def _require_within(slip: float, road_speed: float) -> None:
     if not (0.0 < slip < 1.0 and road_speed > 0.0):
-        raise ValueError(f"slip {slip!r}, road speed {road_speed!r} rad/s: must be above 0 and below 1, and above 0")
+        point = f"slip {slip!r}, road speed {road_speed!r} rad/s"
+        raise ValueError(f"{point}: the slip must be above 0 and below 1, the speed above 0")
 
 
 def _holding(k: Constants, slip: float, road_speed: float) -> float:

@@ -130,9 +130,9 @@ def test_the_equations_are_there_for_a_paper():
 @pytest.mark.parametrize(
     ("slip", "road", "message"),
     [
-        (0.0, 100.0, "slip 0.0, road speed 100.0 rad/s: must be above 0 and below 1, and above 0"),
+        (0.0, 100.0, "slip 0.0, road speed 100.0 rad/s: the slip must be above 0 and below 1, the speed above 0"),
         (1.0, 100.0, "slip 1.0"),
-        (0.2, 0.0, "must be above 0 and below 1, and above 0"),
+        (0.2, 0.0, "the slip must be above 0 and below 1, the speed above 0"),
         (math.nan, 100.0, "slip nan"),
         (0.2, math.inf, "road speed inf"),
         (0.0005, 100.0, r"needs .* N m and so a duty of .*: the brake gives 0.415..1; choose another point"),

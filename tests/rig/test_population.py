@@ -162,7 +162,7 @@ def test_holding_torque_holds_the_slip_of_the_rig_itself(seed, road_rad_s):
 
 @pytest.mark.parametrize(("slip", "speed"), [(0.0, 100.0), (1.0, 100.0), (0.2, 0.0)])
 def test_holding_torque_has_a_meaning_only_within_a_rolling_stop(slip, speed):
-    with pytest.raises(ValueError, match="must be within"):
+    with pytest.raises(ValueError, match="the slip must be above 0 and below 1, the speed above 0"):
         holding_torque(RigVariation(), slip, speed)
 
 

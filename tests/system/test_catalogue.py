@@ -1,6 +1,7 @@
 import inspect
 import json
 import tomllib
+from pkgutil import resolve_name
 
 import pytest
 
@@ -8,6 +9,9 @@ from inteco_abs.config import EstimatorConfig, load_config, profiles
 from inteco_abs.control import CONTROLLERS, ESTIMATORS, control_check, gains_in_force, preferred_estimator
 from inteco_abs.errors import ConfigError
 from inteco_abs.mock_board.faults import KINDS
+from inteco_abs.published import PUBLISHED
+
+CLASSES = CONTROLLERS | {name: resolve_name(place) for name, place in PUBLISHED.items()}
 
 
 @pytest.fixture
@@ -18,11 +22,11 @@ def inteco_abs(main_here):
 def test_every_controller_is_listed_with_a_line_and_its_gains(inteco_abs):
     text = inteco_abs("controllers", check=0).stdout
     found = json.loads(inteco_abs("controllers", "--json", check=0).stdout)["controllers"]
-    assert found.keys() == CONTROLLERS.keys()
+    assert list(found) == list(CLASSES)
     for name, one in found.items():
         assert f"\n{name} " in f"\n{text}"
         assert f"\n{name:19} {one['summary']}" in f"\n{text}"
-        assert [gain["name"] for gain in one["gains"]] == [gain.name for gain in CONTROLLERS[name].gains]
+        assert [gain["name"] for gain in one["gains"]] == [gain.name for gain in CLASSES[name].gains]
 
 
 def test_every_profile_is_listed_with_what_stands_between_it_and_outputs(inteco_abs):
