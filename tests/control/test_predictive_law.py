@@ -34,6 +34,7 @@ OUTLOOKS = st.builds(
     ripple_cosine=st.floats(-0.3, 0.3),
     ripple_sine=st.floats(-0.3, 0.3),
     brake_dead_time_s=st.floats(0.002, 0.03),
+    brake_release_ratio=st.floats(0.3, 4.0),
     brake_lag_s=LAGS,
 )
 
