@@ -202,7 +202,7 @@ def test_tune_predictive_begins_with_what_is_in_force_and_prints_it_as_code(untr
     searched = {line for line in printed if ": float = " in line}
     assert searched <= present
     unsearched = {line for line in present if line.endswith(("= 0.0", "= False"))}
-    assert len(present - searched - unsearched) == 3
+    assert len(present - searched - unsearched) == 8
     assert "    controller.gains.kM=400.0" in printed
 
 
