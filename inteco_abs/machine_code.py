@@ -121,7 +121,7 @@ class _CheckedFiles(IndexDataCacheFile):
         return super()._load_data(name)
 
     def _load_index(self) -> Any:
-        with suppress(Exception):  # whatever bytes there are
+        with suppress(Exception):  # a damaged index may have any bytes
             content = Path(self._index_path).read_bytes()
             if _is_whole(content[content.index(_PICKLE, 1) :]):  # behind the version, which numba writes first
                 return super()._load_index()

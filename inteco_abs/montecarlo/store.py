@@ -41,7 +41,7 @@ _TICKS: Final = "inteco_abs.ticks"
 _END: Final = b"PAR1"
 """The last bytes of a Parquet file."""
 _STALE_S: Final = 86_400.0
-"""Age at which an unfinished file belongs to nobody: writing one takes seconds, and clocks of computers differ."""
+"""Age at which no process writes an unfinished file any more: that takes seconds, and clocks of computers differ."""
 
 
 class SweepFolder:
