@@ -1,6 +1,6 @@
 """All laws on the same simulated rigs, judged by one ruler. Needs the extra `lab`."""
 
-from inteco_abs.benchmark.decision_time import DecisionTime, time_decisions
+from inteco_abs.benchmark.decision_time import DecisionTime, decision_times, time_decisions
 from inteco_abs.benchmark.laws import DEFAULT_ESTIMATOR, PUBLISHED_GAINS, Law, read_laws, shipped_laws, write_laws
 from inteco_abs.benchmark.results import POPULATIONS, compared, ranges, results_of
 from inteco_abs.benchmark.tuning import Budget, tune
@@ -13,6 +13,7 @@ __all__ = [
     "DecisionTime",
     "Law",
     "compared",
+    "decision_times",
     "ranges",
     "read_laws",
     "results_of",

@@ -157,22 +157,23 @@ def _tuned(laws: Sequence[Law], controllers: Controllers, sources: Mapping[str, 
 
 def _results(laws: Sequence[Law], controllers: Controllers, stops: Any) -> dict[str, Any]:
     """All that results.json has."""
-    from inteco_abs.benchmark import results_of, time_decisions
+    from inteco_abs.benchmark import decision_times, results_of
     from inteco_abs.montecarlo import parse_draws
     from inteco_abs.version import __version__
 
-    rigs, found = parse_draws(f"hard:{_FIRST_SEED}").rigs, results_of(laws, stops.rows())
+    found = results_of(laws, stops.rows())
+    times = decision_times(laws, parse_draws(f"hard:{_FIRST_SEED}").rigs, controllers)
     program = stops.plan.description["program"]
     result: dict[str, Any] = {"schema_version": 1, "version": __version__, "source_sha256": program["source_sha256"]}
     result["packages"], result["laws"] = stops.plan.description["packages"], {}
     for law in laws:
-        timed = time_decisions(law.config(controllers), rigs, controllers)
+        time_us = times[law.name]
         result["laws"][law.name] = {
             "controller": law.controller,
             "estimator": law.estimator,
             "numbers": dict(law.numbers),
             "gains_from": law.gains_from,
-            "decision_us": None if timed.median_us is None else round(timed.median_us, 1),
+            "decision_us": None if time_us is None else round(time_us, 1),
             "ranges": found[law.name],
         }
     return result

@@ -1,10 +1,12 @@
 """The verb benchmark: its files, its exit codes, its refusals."""
 
 import json
+import subprocess
 
 import pytest
 
 from inteco_abs.benchmark import Law, read_laws, write_laws
+from inteco_abs.sessions import read_session
 
 STAIRS = Law("stairs", "steps", "moving-window", {"controller.gains.first": 0.6})
 
@@ -30,11 +32,11 @@ def test_it_writes_results_table_figure_laws_and_page(main_here, laws):
     assert (folder / "populations.svg").stat().st_size > 10_000
 
     kept = json.loads((folder / "results.json").read_text())
-    assert main_here(*arguments, "--against", "benchmark/results.json", "--json", check=0).stdout
     kept["laws"]["stairs"]["ranges"]["hard"]["slip_rms"]["median"] /= 2.0
     (laws / "better.json").write_text(json.dumps(kept))
-    answer = main_here(*arguments, "--against", "better.json", check=4)
-    assert "stairs on hard:700000: slip RMS, median" in answer.stderr
+    answer = main_here(*arguments, "--against", "better.json", "--json", check=4)
+    assert answer.stderr.count("stairs on") == answer.stderr.count("stairs on hard:700000: slip RMS, median") == 1
+    assert json.loads(answer.stdout)["laws"]["stairs"]["ranges"] == found["ranges"]
 
 
 @pytest.mark.parametrize(
@@ -50,3 +52,20 @@ def test_it_writes_results_table_figure_laws_and_page(main_here, laws):
 def test_wrong_usage_is_refused_before_anything_is_written(main_here, laws, arguments, problem):
     assert problem in main_here("benchmark", *arguments, check=2).stderr
     assert not (laws / "benchmark").exists()
+
+
+@pytest.mark.long
+@pytest.mark.xdist_group("real time")
+def test_a_published_law_brakes_in_real_time_and_replays_bit_for_bit(command_path, untraced, inteco_abs, tmp_path):
+    run = subprocess.run(
+        [command_path, "run", "--controller", "neuro-fuzzy", "--estimator", "kalman", "--out", "stop.mcap", "--json"],
+        cwd=tmp_path, env=untraced, capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    card = json.loads(run.stdout)
+    assert (card["outcome"], card["controller"]) == ("completed", "neuro-fuzzy"), run.stderr
+    assert card["slip_rms_fixed_true"] < 0.2
+    session = read_session(tmp_path / "stop.mcap")
+    assert session.metadata["controller"]["package"].startswith("inteco-abs ")
+    assert b"class NeuroFuzzy" in session.attachments["controller.py"]
+    replay = json.loads(inteco_abs("replay", "stop.mcap", "--json", check=0).stdout)
+    assert (replay["differing"], replay["ticks"]) == (0, card["ticks"])
