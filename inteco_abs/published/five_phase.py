@@ -1,8 +1,9 @@
 """The five-phase hybrid of production anti-lock brakes.
 
 W. Pasillas-Lepine: Hybrid modeling and limit cycle analysis for a class of five-phase anti-lock brake algorithms,
-Vehicle System Dynamics 44 (2), 2006, 173-188; M. Gerard, W. Pasillas-Lepine, E. de Vries, M. Verhaegen: Improvements
-to a five-phase ABS algorithm for experimental validation, Vehicle System Dynamics 50 (10), 2012, 1585-1611.
+Vehicle System Dynamics 44 (2), 2006, 173-188; M. Gerard, W. Pasillas-Lepine, E. de Vries, M. Verhaegen: Adaptation
+of hybrid five-phase ABS algorithms for experimental validation, IFAC Symposium Advances in Automotive Control,
+Munich 2010.
 
 It switches by the wheel's acceleration alone: the pressure rises until the wheel falls back (1), is held until it
 falls faster (2), drops until it recovers (3), is held while it runs up (4), and rises again as it slows (5). It makes

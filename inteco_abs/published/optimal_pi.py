@@ -1,5 +1,7 @@
 """PI control of the slip, and its Takagi-Sugeno fuzzy form.
 
+M.-B. Radac, R.-E. Precup: Data-driven model-free slip control of anti-lock braking systems using reinforcement
+Q-learning, Neurocomputing 2017, doi 10.1016/j.neucom.2017.08.036, which compares with an optimal PI;
 M.-B. Radac, R.-E. Precup, S. Preitl, J. K. Tar, K. J. Burnham: Tire slip fuzzy control of a laboratory anti-lock
 braking system, Proc. European Control Conference, Budapest 2009, 940-945; R.-E. Precup, S. Preitl, M. Balas, V.
 Balas: Fuzzy controllers for tire slip control in anti-lock braking systems, Proc. IEEE International Conference on
