@@ -52,11 +52,13 @@ def decision_times(
 ) -> dict[str, float | None]:
     """Time of each law in us, by its name; None if it never braked."""
     configs = {law.name: law.config(controllers) for law in laws}
-    turns = [
-        {name: time_decisions(config, rigs, controllers).median_us for name, config in configs.items()}
-        for _ in range(_TURNS)
-    ]
-    return {name: min((turn[name] for turn in turns if turn[name] is not None), default=None) for name in configs}
+    found: dict[str, list[float]] = {name: [] for name in configs}
+    for _ in range(_TURNS):
+        for name, config in configs.items():
+            median_us = time_decisions(config, rigs, controllers).median_us
+            if median_us is not None:
+                found[name].append(median_us)
+    return {name: min(times, default=None) for name, times in found.items()}
 
 
 def time_decisions(
