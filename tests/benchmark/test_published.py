@@ -17,7 +17,7 @@ from inteco_abs.signals import Estimate
 KNOWN = Controllers()
 RIGS = parse_draws("hard:700000").rigs
 BY_DEFAULT = {"grey-sliding", "neuro-fuzzy"}
-"""Those with lists in their state."""
+"""Two with lists in their state."""
 
 
 @pytest.mark.parametrize(
