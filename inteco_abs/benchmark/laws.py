@@ -16,8 +16,8 @@ from inteco_abs.montecarlo import Combination
 from inteco_abs.sessions import atomic_write
 
 _SHIPPED: Final = Path(__file__).with_name("laws.toml")
-PUBLISHED_GAINS: Final = "published"
-"""`gains_from` of a law that is shown as its source has it, and is not tuned."""
+FIXED_GAINS: Final = ("published", "shipped")
+"""`gains_from` of laws that are shown as their source or this program has them, and are not tuned."""
 DEFAULT_ESTIMATOR: Final = "kalman"
 """Of a law that needs none in particular: the same for all."""
 _KEYS: Final = {"name", "controller", "estimator", "gains_from"}
@@ -36,7 +36,7 @@ class Law:
     numbers: Mapping[str, float] = field(default_factory=dict)
     """Gains and the estimator's parameters by dotted key; those left out have their defaults."""
     gains_from: str = "defaults"
-    """Origin of the numbers: `published`, `tuned`, or `defaults`."""
+    """Origin of the numbers: one of FIXED_GAINS, `tuned`, or `defaults`."""
 
     def config(self, controllers: Mapping[str, type[Controller]]) -> RigConfig:
         """The configuration of its stops. Raises ConfigError for names and numbers that cannot be."""

@@ -135,8 +135,8 @@ def _chosen(laws: Sequence[Law], names: Sequence[str], controllers: Controllers)
 
 
 def _tuned(laws: Sequence[Law], controllers: Controllers, sources: Mapping[str, bytes], jobs: int | None) -> list[Law]:
-    """Each with the best numbers of the search, but those that are shown as their source has them."""
-    from inteco_abs.benchmark import PUBLISHED_GAINS, Budget, tune
+    """Each with the best numbers of the search, but for those with fixed gains."""
+    from inteco_abs.benchmark import FIXED_GAINS, Budget, tune
     from inteco_abs.montecarlo import LocalProcesses, cores
 
     jobs, budget, found = jobs or cores(), Budget(), []
@@ -144,7 +144,7 @@ def _tuned(laws: Sequence[Law], controllers: Controllers, sources: Mapping[str, 
     with pool as executor:
         where: Executor | None = executor
         for law in laws:
-            if law.gains_from == PUBLISHED_GAINS:
+            if law.gains_from in FIXED_GAINS:
                 found.append(law)
                 continue
             began = time.monotonic()

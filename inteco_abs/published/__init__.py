@@ -19,6 +19,7 @@ _PLACES: Final = {
     "extremum-seeking": "extremum_seeking:ExtremumSeeking",
     "five-phase": "five_phase:FivePhase",
     "neuro-fuzzy": "neuro_fuzzy:NeuroFuzzy",
+    "fitted-q": "fitted_q:FittedQ",
     "model-predictive": "predictive:ModelPredictive",
 }
 PUBLISHED: Final[dict[str, str]] = {name: f"{__name__}.{place}" for name, place in _PLACES.items()}

@@ -29,12 +29,14 @@ class PublishedLaw:
     gains: ClassVar[tuple[Gain, ...]]
     internals: ClassVar[tuple[str, ...]] = ()
     function: ClassVar[Function]
+    constants: ClassVar[type[LawConstants]] = LawConstants
+    """Its constants but for the gains."""
     _constants: ClassVar[type]
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
         own = [(gain.name, float) for gain in cls.gains]
-        cls._constants = make_dataclass(cls.__name__, own, bases=(LawConstants,), frozen=True, slots=True)
+        cls._constants = make_dataclass(cls.__name__, own, bases=(cls.constants,), frozen=True, slots=True)
 
     def __init__(self, setup: Setup, **gains: float) -> None:
         super().__init__()

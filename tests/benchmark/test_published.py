@@ -3,6 +3,7 @@
 import importlib
 import re
 
+import numpy as np
 import pytest
 
 from inteco_abs.benchmark import Law, shipped_laws, time_decisions
@@ -10,6 +11,8 @@ from inteco_abs.control import Setup
 from inteco_abs.montecarlo import ConfiguredPolicy, Experiment, parse_draws, run_all
 from inteco_abs.plugins import Controllers
 from inteco_abs.published import PUBLISHED
+from inteco_abs.published.fitted_q import MOST
+from inteco_abs.published.fitted_q_weights import LAYERS
 from inteco_abs.published.grey_sliding import predict
 from inteco_abs.rig import RigParameters
 from inteco_abs.signals import Estimate
@@ -63,6 +66,16 @@ def test_the_grey_model_continues_an_exponential():
     assert predict(slips, 3.0) == pytest.approx(0.05 * 1.1**7, rel=0.01)
     assert predict([0.0] * 5, 3.0) == 0.0
     assert predict([0.2] * 5, 3.0) == pytest.approx(0.2)
+
+
+def test_the_learned_policy_is_its_network_and_holds_each_duty():
+    kind, inputs = KNOWN["fitted-q"], np.array([-0.8, 0.0, -5.0 / 3.0, 0.0, 0.0, 1.0 / 9.0])  # slip 0.12 at 100 rad/s
+    law = kind(Setup(0.2, RigParameters.named("mask"), 5.0))
+    for layer in LAYERS:
+        inputs = np.tanh(np.array(layer) @ [*inputs, 1.0])
+    duties = [law.update(Estimate(88.0, 100.0, 0.12, valid=True), 0.0005).brake for _ in range(21)]
+    assert duties[:20] == [pytest.approx(MOST * inputs[0])] * 20
+    assert duties[20] != duties[0] > 0.0
 
 
 def test_a_published_law_keeps_its_source_and_the_package_that_has_it():

@@ -11,6 +11,7 @@ import pytest
 
 from inteco_abs.control import ESTIMATORS
 from inteco_abs.control.estimators.braking_ekf import EkfTuning
+from inteco_abs.published.fitted_q_weights import LAYERS
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
@@ -159,6 +160,17 @@ def test_tune_estimators_prints_every_estimator_with_its_default_starred(untrace
         bias, std, fast, slow, loop = map(float, row[44:].split())
         assert abs(bias) < 6.0
         assert min(std, fast, slow, loop) > 0.0
+
+
+@pytest.mark.long
+@pytest.mark.xdist_group("compiled")
+def test_train_fitted_q_writes_a_network_as_the_controller_has_it(untraced, tmp_path):
+    chosen = ("--rounds", "3", "--rigs", "2", "--out", str(tmp_path / "weights.py"))
+    assert run("train_fitted_q", *chosen, environment=untraced).startswith("round 3, ")
+    layers = runpy.run_path(str(tmp_path / "weights.py"))["LAYERS"]
+    assert [(len(layer), {len(row) for row in layer}) for layer in layers] == [
+        (len(layer), {len(row) for row in layer}) for layer in LAYERS
+    ]
 
 
 def cells(printed):
