@@ -10,6 +10,7 @@ from typing import Any, Final, Literal, NamedTuple
 import numpy as np
 import tomli_w
 
+from inteco_abs.identification.discs import HARMONICS, amplitude
 from inteco_abs.identification.fit import Fit, Progress, fit
 from inteco_abs.identification.parameters import ASSUMED, Priors, torque_name
 from inteco_abs.identification.segments import Segment, SegmentKind
@@ -34,9 +35,14 @@ _NEEDED: Final[Mapping[str, tuple[SegmentKind, str]]] = {
     "brake_lag": ("braking", "brake steps"),
     "brake_dead_time": ("braking", "brake steps"),
     "brake_release_ratio": ("braking", "brake steps and a release"),
+    "brake_release_delay": ("braking", "brake steps and a release"),
     "brake_fade": ("braking", "brake steps"),
     "r1/r2": ("run-up", "a run-up"),
 }
+
+_DISC_ERRORS: Final = dict(zip(HARMONICS, ("eccentricity", "second_harmonic"), strict=True))
+_MOST_DISC_COUNTS: Final = 100.0
+"""Without a measurement; the limit of `EncoderVariation`."""
 
 EstimateStatus = Literal["identified", "assumed", "not identified"]
 
@@ -100,6 +106,15 @@ class Identification:
                 }
                 for channel, residual in self.fit.residuals
             ],
+            "discs": [
+                {
+                    "session": channel.segment.session,
+                    "segment": channel.segment.kind,
+                    "wheel": channel.wheel,
+                    "cosines_and_sines_counts": error.coefficients.tolist(),
+                }
+                for channel, error in self.fit.discs
+            ],
         }
 
     def traces(self) -> list[dict[str, Any]]:
@@ -159,7 +174,19 @@ def identify(
     levels = tuple(sorted({level for segment in segments for level in segment.levels}))
     found = fit(segments, Priors(base, levels, {**ASSUMED, **assumed}), progress)
     kinds = {segment.kind for segment in segments}
-    return Identification(found, tuple(segments), tuple(_estimates(found, kinds)))
+    return Identification(found, tuple(segments), (*_estimates(found, kinds), *_disc_errors(found)))
+
+
+def _disc_errors(found: Fit) -> Iterator[ParameterEstimate]:
+    """Amplitude of each harmonic of both discs."""
+    for wheel in ("wheel", "road"):
+        errors = [error for channel, error in found.discs if channel.wheel == wheel]
+        for harmonic, kind in _DISC_ERRORS.items():
+            name, why = f"{wheel}_{kind}", "no phase has enough turns of it"
+            if errors:
+                yield ParameterEstimate(name, "counts", *amplitude(errors, harmonic), 0.0, "identified")
+            else:
+                yield ParameterEstimate(name, "counts", *(0.0, 0.0, _MOST_DISC_COUNTS), 0.0, "not identified", why)
 
 
 def _estimates(found: Fit, kinds: set[SegmentKind]) -> Iterator[ParameterEstimate]:
@@ -217,6 +244,7 @@ def _all_derived(priors: Priors) -> Iterator[_Derived]:
     yield _Derived("brake_lag", "s", lambda v: v["lag"], 1.0 / base.c31)
     yield _Derived("brake_dead_time", "s", lambda v: v["dead_time"], math.nan)
     yield _Derived("brake_release_ratio", "1", lambda v: v["release"], 1.0)
+    yield _Derived("brake_release_delay", "s", lambda v: v["release_delay"], 0.0)
     yield _Derived("brake_fade", "1/kJ", lambda v: v["fade"] / v["scale"], 0.0)
     yield _Derived("r1/r2", "1", lambda v: v["r1/r2"], base.r1 / base.r2)
     for level in priors.levels:

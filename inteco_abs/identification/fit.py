@@ -10,6 +10,7 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
+from inteco_abs.identification.discs import DiscError, columns, disc_error
 from inteco_abs.identification.parameters import FIXED, Priors, torque_name
 from inteco_abs.identification.segments import Floats, Segment
 from inteco_abs.identification.simulation import angles
@@ -36,15 +37,16 @@ _SPEEDS: Final[Mapping[str, int]] = {"run-up": 0, "coast-down": 1, "braking": 2}
 within milliseconds, so its start is not observed."""
 _STEP: Final = 1e-4
 """Step of the differences: the integration's steps are cut differently from there on, which moves counts by 1e-4."""
-_WIDE: Final = {"d1": 1e-2, "M10": 1e-2, "creep": 1e-2} | dict.fromkeys(
+_WIDE: Final = {"d1": 1e-2, "M10": 1e-2, "creep": 1e-2, "release_delay": 1e-5} | dict.fromkeys(
     ("creep_p", "w1/w4", "w2/w4", "w3/w4", "dead_time", "release", "fade"), 1e-3
 )
-"""Step for parameters of little effect, of which that error would be a larger share."""
+"""Step for parameters of little effect, of which that error would be a larger share, and of a time in s."""
+_BRAKE: Final = ("lag", "dead_time", "release", "release_delay", "fade")
 _EVERYWHERE: Final = ("J1", "Mg", "d1", "M10", "r1/r2", "d", "M0")
 _DEPENDS: Final[Mapping[str, tuple[str, ...]]] = {
     "run-up": (*_EVERYWHERE, "creep", "creep_p", "stall", "no_load"),
     "coast-down": (*_EVERYWHERE, "creep", "creep_p"),
-    "braking": (*_EVERYWHERE, "w4", "w1/w4", "w2/w4", "w3/w4", "a", "p", "lag", "dead_time", "release", "fade"),
+    "braking": (*_EVERYWHERE, "w4", "w1/w4", "w2/w4", "w3/w4", "a", "p", *_BRAKE),
 }
 """Parameters that affect each kind of segment, besides the brake's torques; the scale affects none."""
 
@@ -61,10 +63,10 @@ class Channel:
     wheel: Wheel
     counts: Floats
     basis: Floats
-    """Orthonormal: a constant, as the encoder's start angle is unknown, and two harmonics of the disc's error."""
+    """Orthonormal basis of the constant and the harmonics of the disc's error."""
 
     def free(self, rows: Floats) -> Floats:
-        """`rows` in counts, without the constant and the eccentricity."""
+        """`rows` in counts, without the constant and the disc's harmonics."""
         residual: Floats = rows - (rows @ self.basis) @ self.basis.T
         return residual
 
@@ -75,9 +77,7 @@ def channels(segment: Segment) -> list[Channel]:
     both: tuple[tuple[Wheel, Floats], ...] = (("wheel", segment.wheel_count), ("road", segment.road_count))
     for wheel, count in both[segment.kind == "coast-down" :]:
         counts = count[segment.compared]
-        angle = counts * (2.0 * math.pi / segment.counts_per_turn)
-        turns = [np.cos(angle), np.sin(angle), np.cos(2.0 * angle), np.sin(2.0 * angle)]
-        basis, _ = np.linalg.qr(np.column_stack([np.ones_like(angle), *turns]))
+        basis, _ = np.linalg.qr(columns(counts, segment.counts_per_turn))
         found.append(Channel(segment, wheel, counts, basis))
     return found
 
@@ -95,7 +95,9 @@ class Fit:
     before: Floats
     """Covariance of the priors."""
     residuals: tuple[tuple[Channel, Floats], ...]
-    """Measured minus simulated counts."""
+    """Measured minus simulated counts, without the start angle and the disc's error."""
+    discs: tuple[tuple[Channel, DiscError], ...]
+    """The disc's error in all segments with enough turns."""
     converged: bool
 
     @property
@@ -133,13 +135,27 @@ def fit(segments: Sequence[Segment], priors: Priors, progress: Progress | None =
     before = np.asarray(np.linalg.inv(priors.weights.T @ priors.weights), np.float64)
     moved = np.eye(len(information))[:, : len(FIXED)]
     moved[free] = -inverse @ information[np.ix_(free, ~free)]
-    residuals = tuple(problem.count_residuals(found))
+    differences = list(problem.differences(found))
+    residuals = tuple((channel, channel.free(counts)) for channel, counts in differences)
+    discs = [
+        (channel, disc_error(channel.counts, channel.segment.counts_per_turn, counts))
+        for channel, counts in differences
+    ]
     real = [np.full(len(each), _effective_deviation(each) / problem.noise) for _, each in residuals]
     scattered = jacobian[:, free] * np.concatenate([*real, np.ones(len(found))])[:, None]
     pulls = _pulls(residuals, jacobian[:, free], problem.noise)
     covariance = np.zeros_like(information)
     covariance[np.ix_(free, free)] = inverse @ (scattered.T @ scattered + pulls.T @ pulls) @ inverse
-    return Fit(priors, found[:count], covariance[:count, :count], moved[:count], before, residuals, converged)
+    return Fit(
+        priors,
+        found[:count],
+        covariance[:count, :count],
+        moved[:count],
+        before,
+        residuals,
+        tuple((channel, error) for channel, error in discs if error is not None),
+        converged,
+    )
 
 
 def _searched(
@@ -206,16 +222,15 @@ class _Problem:
 
     def residuals(self, x: Floats) -> Floats:
         """Normalised residuals of counts and priors."""
-        parts = [residual / self.noise for _, residual in self.count_residuals(x)]
+        parts = [channel.free(counts) / self.noise for channel, counts in self.differences(x)]
         return np.concatenate([*parts, self._weights @ (x - self.start)])
 
-    def count_residuals(self, x: Floats) -> list[tuple[Channel, Floats]]:
+    def differences(self, x: Floats) -> Iterator[tuple[Channel, Floats]]:
         """Measured minus simulated counts by channel."""
-        parts = []
         for segment, its_channels, own in self._each():
             simulated = self._simulated(segment, x[None, :], own)
-            parts += [(each, each.free(each.counts - simulated[each.wheel])[0]) for each in its_channels]
-        return parts
+            for channel in its_channels:
+                yield channel, channel.counts - simulated[channel.wheel][0]
 
     def jacobian(self, x: Floats, free: Mask) -> Floats:
         """Slopes of `residuals` by the free parameters; forward differences, in one batch for each segment."""

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from inteco_abs.rig import DriveMotor, RigParameters, RigVariation, measured_torque
+from inteco_abs.rig import LONGEST_DEAD_TIME_S, DriveMotor, RigParameters, RigVariation, measured_torque
 
 Floats = npt.NDArray[np.float64]
 
@@ -91,6 +91,7 @@ class Priors:
             FitParameter("lag", lag, 0.05, log=False),
             FitParameter("dead_time", 0.01, 1.0),
             FitParameter("release", 1.0, 0.5),
+            FitParameter("release_delay", 0.0, 0.02, log=False),
             FitParameter("fade", 0.0, 0.2, log=False),
             *(FitParameter(torque_name(duty), measured_torque(duty), 3.0, log=False) for duty in self.levels),
         )
@@ -160,8 +161,9 @@ class Priors:
             k = replace(k, w1=base.w1, w2=base.w2, w3=base.w3, w4=base.w4, a=values["creep"], p=values["creep_p"])
         return RigVariation(
             k,
-            brake_dead_time_s=min(max(values["dead_time"], 0.0), _LONGEST_DEAD_TIME_S),
+            brake_dead_time_s=min(max(values["dead_time"], 0.0), LONGEST_DEAD_TIME_S),
             brake_release_ratio=min(max(values["release"], 0.1), 10.0),
+            brake_release_delay_s=min(max(values["release_delay"], -LONGEST_DEAD_TIME_S), LONGEST_DEAD_TIME_S),
         )
 
 
@@ -169,7 +171,5 @@ _RADII: Final = 0.03
 """Standard deviation of the radii's ratio; the vendor's toolbox has a wheel 4 % smaller."""
 _LEAST: Final = 0.01
 """Least share of its prior for a parameter that is the difference of others."""
-_LONGEST_DEAD_TIME_S: Final = 0.2
-"""Limit of `RigVariation`."""
 _SHORTEST_LAG_S: Final = 1e-4
 """Practically none, as of a brake without lag."""

@@ -35,7 +35,7 @@ _UNIT_OF: Final = {
     for unit, names in {
         "m": "r1 r2 L",
         "s": "brake_dead_time_s grip_step_after_s second_grip_step_after_s third_grip_step_after_s later_road_after_s "
-        "latch_jitter_s",
+        "latch_jitter_s brake_release_delay_s",
         "1/s": "c31",
         "rad": "phi_rad load_ripple_phase_rad eccentricity_phase_rad second_harmonic_phase_rad damage_angle_rad",
         "rad/s": "no_load_speed_rad_s",

@@ -8,7 +8,7 @@ from typing import Final
 from inteco_abs.rig.actuators import brake_torque
 from inteco_abs.rig.brake_map import BrakeMap, interpolated
 from inteco_abs.rig.state import Constants, State
-from inteco_abs.rig.variation import RigVariation
+from inteco_abs.rig.variation import LONGEST_DEAD_TIME_S, RigVariation
 from inteco_abs.signals import pwm_steps
 
 MEASURED_TORQUE: Final = (
@@ -61,18 +61,25 @@ def settled(k: Constants, duty: float) -> float:
 
 
 def command(k: Constants, s: State, due_s: list[float], torques: list[float], duty: float) -> None:
-    """Put `duty` (0..1) at the terminals; it acts a dead time later."""
+    """Put `duty` (0..1) at the terminals; it acts a dead time later, that of a rise or that of a release."""
     s.newest_duty, torque = duty, settled(k, duty)
     if k.brake_hysteresis_nm > 0.0 and torque > 0.0:
         play = 0.5 * k.brake_hysteresis_nm
         torque = max(0.0, min(max(s.newest_torque, torque - play), torque + play))
     if torque != s.newest_torque:
+        delay_s = k.brake_dead_time_s
+        if torque < s.newest_torque:
+            delay_s = min(max(0.0, delay_s + k.brake_release_delay_s), LONGEST_DEAD_TIME_S)
         s.newest_torque = torque
-        if k.brake_dead_time_s == 0.0:
+        if delay_s == 0.0:
+            s.arrived = s.sent
             aim(k, s, torque)
             return
+        acts_s = s.time_s + delay_s
+        while s.arrived < s.sent and due_s[(s.sent - 1) % len(due_s)] > acts_s:
+            s.sent -= 1  # overtaken
         i = s.sent % len(due_s)
-        due_s[i], torques[i] = s.time_s + k.brake_dead_time_s, torque
+        due_s[i], torques[i] = acts_s, torque
         s.sent += 1
 
 

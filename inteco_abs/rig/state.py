@@ -37,6 +37,7 @@ class Constants(RigParameters):
     adhesion_tilt: float
     later_road_after_s: float
     brake_release_ratio: float
+    brake_release_delay_s: float
     brake_hysteresis_nm: float
     brake_fade_per_kj: float
     wheel_wear_per_kj: float

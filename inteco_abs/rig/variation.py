@@ -58,6 +58,7 @@ RIG_RANGES: Final = {
     "adhesion_tilt": (-1.0, 1.0),
     "later_road_after_s": (0.0, 60.0),
     "brake_release_ratio": (0.1, 10.0),
+    "brake_release_delay_s": (-LONGEST_DEAD_TIME_S, LONGEST_DEAD_TIME_S),
     "brake_hysteresis_nm": (0.0, 2.0),
     "brake_fade_per_kj": (0.0, 5.0),
     "wheel_wear_per_kj": (0.0, 0.1),
@@ -154,6 +155,9 @@ class RigVariation:
     """Time of that change since the first brake command without drive, 0..60 s."""
     brake_release_ratio: float = 1.0
     """The brake's lag while its torque falls, over c31's while it rises, 0.1..10."""
+    brake_release_delay_s: float = 0.0
+    """How much longer the dead time of a falling torque is than that of a rising one, -0.2..0.2 s; the sum is limited
+    to 0..0.2 s. A command that acts earlier than those before it replaces them."""
     brake_hysteresis_nm: float = 0.0
     """Width of the static map's hysteresis, by friction in the brake's lever, 0..2 N m; without a duty it opens."""
     brake_fade_per_kj: float = 0.0
@@ -205,6 +209,7 @@ _PLAIN: Final[dict[str, object]] = {
     "road": "",
     "later_road": "",
     "brake_release_ratio": 1.0,
+    "brake_release_delay_s": 0.0,
     "brake_hysteresis_nm": 0.0,
     "brake_fade_per_kj": 0.0,
     "wheel_wear_per_kj": 0.0,

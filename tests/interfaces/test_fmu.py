@@ -43,7 +43,9 @@ def unpacked(exported, tmp_path_factory):
 
 
 DEFECTIVE = RigVariation(
+    brake_dead_time_s=0.01,
     brake_release_ratio=2.0,
+    brake_release_delay_s=0.005,
     brake_hysteresis_nm=0.3,
     brake_fade_per_kj=1.0,
     wheel_wear_per_kj=0.05,

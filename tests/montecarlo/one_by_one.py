@@ -72,7 +72,7 @@ def rigs_of_all_kinds():
         RigVariation(replace(k, w4=0.45, p=2.0), adhesion_blend=0.5),
         RigVariation(replace(k, u0=0.3, c31=5.0), brake_duty_offset=-0.1, brake_gain=1.5),
         RigVariation(brake_map="measured", brake_duty_cap=0.6, brake_pwm_steps=4095),
-        RigVariation(brake_dead_time_s=0.1, command_delay_ticks=3),
+        RigVariation(brake_dead_time_s=0.1, brake_release_delay_s=-0.05, command_delay_ticks=3),
         RigVariation(load_ripple=0.3, load_ripple_phase_rad=2.0, road_encoder=disc),
         RigVariation(adhesion_scale=0.6, grip_step=0.8, grip_step_after_s=0.05),
         RigVariation(

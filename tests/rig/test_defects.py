@@ -50,6 +50,28 @@ def test_a_brake_with_dead_time_releases_in_its_own_time_too():
     assert plant.brake_torque == pytest.approx(settled_torque(0.7, rig) * math.exp(-1.0), rel=1e-6)
 
 
+@pytest.mark.parametrize(("dead_s", "delay_s", "acts_s"), [(0.02, 0.01, 0.03), (0.02, -0.01, 0.01), (0.0, 0.01, 0.01)])
+def test_a_release_has_its_own_dead_time(dead_s, delay_s, acts_s):
+    rig = RigVariation(brake_dead_time_s=dead_s, brake_release_delay_s=delay_s)
+    plant = standing(rig)
+    plant.advance(0.0, 0.7, 5.0)
+    plant.advance(0.0, 0.0, acts_s)
+    assert plant.brake_torque == pytest.approx(settled_torque(0.7, rig), rel=1e-6)
+    plant.advance(0.0, 0.0, 1.0 / rig.parameters.c31)
+    assert plant.brake_torque == pytest.approx(settled_torque(0.7, rig) * math.exp(-1.0), rel=1e-6)
+
+
+@pytest.mark.parametrize(("delay_s", "duties"), [(-0.02, (0.7, 0.0)), (0.02, (0.0, 0.7))])
+def test_the_newest_command_holds_even_if_it_overtakes_those_before(delay_s, duties):
+    rig = RigVariation(brake_dead_time_s=0.02, brake_release_delay_s=delay_s)
+    plant = standing(rig)
+    plant.advance(0.0, 0.5, 5.0)
+    for duty in duties:
+        plant.advance(0.0, duty, 0.005)
+    plant.advance(0.0, duties[-1], 5.0)
+    assert plant.brake_torque == pytest.approx(settled_torque(duties[-1], rig), abs=1e-6)
+
+
 def settled_after(rig, *duties):
     plant = standing(rig)
     for duty in duties:
@@ -170,6 +192,7 @@ def test_a_drive_that_still_pulls_delays_the_stop_but_moves_no_rig_at_rest():
         later_road=st.sampled_from(sorted(ROADS)),
         later_road_after_s=st.floats(0.0, 0.2),
         brake_dead_time_s=st.floats(0.0, 0.05),
+        brake_release_delay_s=st.floats(-0.05, 0.05),
     ),
     st.lists(st.floats(0.0, 1.0), min_size=1, max_size=8),
 )
