@@ -63,7 +63,7 @@ def bits(*records):
     return b"".join(struct.pack("<d", value) for record in records for value in record)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(1, 4))])
 def test_c_moves_and_reads_drawn_rigs_from_drawn_states_as_python_does(library, seed):
     random_ = random.Random(seed)
     for _ in range(100):

@@ -147,6 +147,7 @@ class TestLeaving:
             moments += 1
         assert moments > 12
 
+    @pytest.mark.long
     @pytest.mark.parametrize(("first", "second"), PAIRS, ids=lambda error: type(error).__name__)
     def test_two_faults_at_any_two_moments_never_leave_an_output_on(self, new_bench, first, second):
         pairs = 0

@@ -78,6 +78,7 @@ def test_all_commissioning_steps_then_a_stop_with_the_signed_draft(installed, wh
     assert json.loads(stop.stdout)["outcome"] == "completed"
 
 
+@pytest.mark.long
 @pytest.mark.untraced
 def test_an_odd_rig_is_commissioned_and_stopped(commission, scripts, odd):
     settings = [part for one in (*odd, "board.drive_pwm=1", "board.brake_pwm=0") for part in ("--set", one)]
@@ -134,6 +135,7 @@ def test_a_wrong_phrase_fails_with_what_to_do(commission):
     assert json.loads(run.stdout)["steps"][4]["outcome"] == "failed"
 
 
+@pytest.mark.long
 @pytest.mark.untraced
 def test_a_step_is_done_again_on_demand(commission, whole_script):
     commission("--virtual", lines=whole_script)

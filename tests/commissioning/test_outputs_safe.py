@@ -29,6 +29,7 @@ def test_steps_one_to_four_write_only_read_requests(lab, scripts):
     assert lab.rig.frames_sent == []
 
 
+@pytest.mark.long
 def test_they_do_so_even_with_a_signed_draft(lab, scripts):
     lab.all_done()
     procedure = lab.session(*(answer for name in READING for answer in scripts[name]))

@@ -114,6 +114,7 @@ def test_results_under_their_earlier_name_are_read(lab):
     assert lab.outcomes()["header"] == "done"
 
 
+@pytest.mark.long
 @pytest.mark.untraced
 def test_no_other_file_is_left(lab, whole_script):
     lab.session(*whole_script).go()

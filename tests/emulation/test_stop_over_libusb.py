@@ -90,7 +90,8 @@ def stop(folder, engine, **trouble):
     raise AssertionError(f"the computer is too busy for any rate: {child.stderr}")
 
 
-@pytest.mark.parametrize("engine", ["faster", pytest.param("one-by-one", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("engine", ["faster", "one-by-one"])
 def test_a_stop_completes_from_tick_0_on_and_the_session_says_how_quick_the_engines_were(tmp_path, engine):
     session, card, board = stop(tmp_path, engine)
     assert card["outcome"] == "completed"

@@ -139,7 +139,12 @@ def test_a_slow_exchange_is_flagged_and_many_end_the_run(short):
 
 @pytest.mark.parametrize(
     ("name", "moves"),
-    [("brake-stuck=1", "wheel"), ("brake-dead", "brake"), ("brake-weak=0.1", "brake"), ("drive-stuck=1", "drive")],
+    [
+        ("brake-stuck=1", "wheel"),
+        ("brake-weak=0.1", "brake"),
+        pytest.param("brake-dead", "brake", marks=pytest.mark.long),
+        pytest.param("drive-stuck=1", "drive", marks=pytest.mark.long),
+    ],
 )
 def test_motors_get_what_the_fault_gives_them(name, moves):
     config = configured("experiment.start_speed_rad_s=10")

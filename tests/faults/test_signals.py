@@ -25,7 +25,7 @@ def strike(lives, record_property, names, share):
 
 
 def test_a_signal_before_any_line_of_a_run_leaves_outputs_off_and_no_cut_session(tmp_path, record_property):
-    strike(Lives(tmp_path), record_property, SIGNALS, 0.008)
+    strike(Lives(tmp_path), record_property, SIGNALS, 0.004)
 
 
 @pytest.mark.long

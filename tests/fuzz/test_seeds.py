@@ -46,6 +46,7 @@ def test_a_target_that_fails_is_found(fuzz, monkeypatch):
         fuzz.one("injections", HERE / "injections" / "late")
 
 
+@pytest.mark.long
 @pytest.mark.untraced
 def test_fuzzing_leaves_nothing_behind(fuzz, monkeypatch, tmp_path):
     elsewhere = tmp_path / "elsewhere"

@@ -86,6 +86,7 @@ def test_a_stop_that_calls_its_controller_in_python_has_the_bits_of_python(contr
     assert len(made) == len(rigs), "no stop was left to Python"
 
 
+@pytest.mark.long
 def test_an_observer_that_fails_on_a_rig_has_the_bits_of_python():
     config = configured("controller.name=steps", "estimator.name=observer")
     stops = assert_same_stops([draw("wild", 225)], config, ShellOfController(config))

@@ -208,7 +208,7 @@ def test_grip_steps_after_braking_began_and_ends_with_the_drive(mask):
 
 
 @pytest.mark.parametrize("population", POPULATIONS)
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_halving_the_step_converges_for_drawn_rigs_down_to_standstill(population, seed):
     rig = draw(population, seed)
     states = []

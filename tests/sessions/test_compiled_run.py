@@ -63,7 +63,7 @@ def assert_same(both, *settings, compiled=True, **options):
 @pytest.mark.parametrize(
     "settings",
     [
-        (),
+        pytest.param((), marks=pytest.mark.long),
         ("experiment.stops=2", 'simulation.rig="rough:2"', "controller.name=boundary-layer", "estimator.name=kalman"),
         ('simulation.rig="own:1"', f"simulation.population={json.dumps(DEFECTIVE)}"),
         ("simulation.wheel_sign=-1", "board.wheel_sign=-1", 'board.pwm_mode="8-bit"', "loop.rate_hz=1000.0"),
@@ -103,7 +103,7 @@ def test_compiled_runs_of_every_part_have_the_bits_of_python(both, controller, e
         assert_same(both, f"controller.name={controller}", f"estimator.name={estimator}", rig, seed=seed)
 
 
-@pytest.mark.parametrize("slices", [1, 3])
+@pytest.mark.parametrize("slices", [pytest.param(1, marks=pytest.mark.long), 3])
 def test_python_can_go_on_at_any_tick_with_the_same_bits(both, monkeypatch, slices):
     watched, left = compiled_run.CompiledRun.run, [slices]
 

@@ -251,11 +251,8 @@ def test_loop_and_guardian_killed_at_once_leave_the_supervisor(live, replayed):
     assert_left_nothing_behind(run)
 
 
-BOTH_FROZEN = (("loop", "freeze"), ("guardian", "freeze"))
-
-
-@pytest.mark.parametrize("kind", [each if each == BOTH_FROZEN else pytest.param(each, marks=pytest.mark.long)
-                                  for each in process_faults.KINDS], ids=process_faults.name_of)  # fmt: skip
+@pytest.mark.long
+@pytest.mark.parametrize("kind", process_faults.KINDS, ids=process_faults.name_of)
 def test_if_processes_are_killed_or_frozen_the_board_is_made_safe_or_the_user_is_warned(
     command_path, tmp_path, untraced, kind
 ):

@@ -162,6 +162,7 @@ def test_the_kinds_are_listed(main_here):
     assert "reset[=zero|held|random]" in listed
 
 
+@pytest.mark.long
 @pytest.mark.xdist_group("real time")
 def test_a_run_in_real_time_acts_and_reports_its_faults(inteco_abs, untraced, tmp_path):
     stop = inteco_abs(

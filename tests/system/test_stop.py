@@ -99,6 +99,7 @@ def test_without_an_output_the_session_lands_in_the_sessions_folder(main_here, t
     assert len(list((tmp_path / "sessions").glob("stop-*.mcap"))) == 2
 
 
+@pytest.mark.long
 def test_a_stop_in_real_time_with_a_real_boards_limits_keeps_its_pace(inteco_abs, real_stop):
     run = real_stop("--board", "sim:", "--set", "experiment.start_speed_rad_s=30")
     result = json.loads(run.stdout)
