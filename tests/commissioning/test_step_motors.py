@@ -75,7 +75,9 @@ def test_a_brake_that_is_not_there_is_noticed_at_the_limit(lab, at):
 
 
 @pytest.mark.untraced
-@pytest.mark.parametrize(("key", "name"), [("road_sign", "lower"), ("wheel_sign", "upper")])
+@pytest.mark.parametrize(
+    ("key", "name"), [("road_sign", "lower"), pytest.param("wheel_sign", "upper", marks=pytest.mark.long)]
+)
 def test_a_wheel_that_was_turned_the_wrong_way_round_is_found_out_by_the_drive(lab, scripts, key, name):
     lab.done_until("wheels", [f"simulation.{key}=-1"])
     lab.session(*scripts["wheels"])
@@ -143,6 +145,7 @@ class TestVelocityRegister:
         assert lab.outcomes()["motors"] == "failed"
         assert lab.rig.device.duties == (0.0, 0.0)
 
+    @pytest.mark.long
     @pytest.mark.untraced
     def test_an_operator_certain_of_the_turns_continues(self, lab, on_pci):
         on_pci("yes", turns=("5",), settings=["simulation.counts_per_turn=2048"])

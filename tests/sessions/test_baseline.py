@@ -48,11 +48,12 @@ def test_its_card_is_whole_and_says_where_it_lies(folder):
 @pytest.mark.parametrize(
     "setting",
     [
-        'controller.name="relay"',
         'estimator.name="kalman"',
-        'simulation.rig="hard:1"',
-        "controller.reference_slip=0.3",
         "experiment.start_speed_rad_s=11.0",
+        *(
+            pytest.param(setting, marks=pytest.mark.long)
+            for setting in ('controller.name="relay"', 'simulation.rig="hard:1"', "controller.reference_slip=0.3")
+        ),
     ],
 )
 def test_another_kind_is_passed_over(folder, setting):

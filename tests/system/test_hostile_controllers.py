@@ -109,12 +109,10 @@ ENDS = {
     "os.kill(os.getpid(), signal.SIGSTOP)": HANGS,
     "os.kill(os.getppid(), signal.SIGTERM) or time.sleep(600)": HANGS,
 }
-QUICK_END = "os.kill(os.getpid(), signal.SIGSEGV)"
 
 
-@pytest.mark.parametrize(
-    "statement", [pytest.param(each, marks=[] if each == QUICK_END else pytest.mark.long) for each in ENDS]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("statement", ENDS)
 def test_a_controller_that_dies_or_hangs_is_its_own_error_and_the_loop_continues_to_safe(run_with, statement):
     run, code, card, message = run_with(statement)
     assert (code, card["outcome"], card["reason"]) == (5, "fault", "CONTROLLER_ERROR"), message
