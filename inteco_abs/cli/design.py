@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import click
 
@@ -21,6 +21,10 @@ from inteco_abs.cli.options import (
 )
 from inteco_abs.cli.terminal import print_json, show
 from inteco_abs.errors import ConfigError, ConfigIssue
+
+if TYPE_CHECKING:
+    from inteco_abs.config import RigConfig
+    from inteco_abs.gain_design import Brake
 
 _SLOWEST_RAD_S: Final = 10.0
 _FASTEST_RAD_S: Final = 245.0
@@ -59,10 +63,13 @@ _LEAST_SLIP: Final = 0.01
     nargs=2,
     type=Finite(0.0, 1.0, unit="s"),
     metavar="LOW HIGH",
-    help="Also check the loop with brakes of these lags (s), the estimator's delay and sampling.",
+    help="Also check the loop with brakes of these lags (s), the estimator's delay and sampling; default: the "
+    "identified brake, if there is one.",
 )
 @click.option(
-    "--dead-time", type=Finite(0.0, 1.0, unit="s"), help="With --lag: the longest dead time of the brake (s)."
+    "--dead-time",
+    type=Finite(0.0, 1.0, unit="s"),
+    help="With --lag or an identified one: the longest dead time of the brake (s).",
 )
 @click.option("--csv", "table", type=FILE, help="Also write all curves over the road speed (.csv).")
 @click.option("--figure", type=FILE, help="Also draw the curves: .png, .svg or .pdf.")
@@ -82,14 +89,15 @@ def design(
     """Check gains for a rig that is not known exactly.
 
     It computes how large Mq must be for sliding, by (25) and (26), how long reaching may take, by (20), and whether the
-    brake is strong enough within its duty limit, for an ideal loop without lag, delay and noise. With --lag it also
-    finds limit cycles of the real loop, and how much further delay it bears. Ends with 0 if the gains hold for the
-    whole set of rigs, with 3 if there is advice.
+    brake is strong enough within its duty limit, for an ideal loop without lag, delay and noise. With --lag, or the
+    brake of a parameter file of `identify`, it also finds limit cycles of the real loop, and how much further delay it
+    bears; an identified fade makes the brake weaker. Ends with 0 if the gains hold for the whole set of rigs, with 3 if
+    there is advice.
     """
     from inteco_abs.boards import kind_check
     from inteco_abs.config import load_config
     from inteco_abs.control import control_check, preferred_estimator
-    from inteco_abs.gain_design import HARD, Brake, judge_gains, stated_box
+    from inteco_abs.gain_design import HARD, faded_share, judge_gains, stated_box
     from inteco_abs.gain_design.figure import draw_design
     from inteco_abs.rig import nominal_parameters
     from inteco_abs.views.figure import check_figure
@@ -100,15 +108,13 @@ def design(
     speeds = speeds or (_SLOWEST_RAD_S, max(rig.experiment.start_speed_rad_s, _SLOWEST_RAD_S + 1.0))
     slips = [0.0] if from_slip is None else [0.0, from_slip]
     _require_ranges(speeds, slip_band, slips, rig.controller.reference_slip)
-    if dead_time is not None and lag is None:
-        raise ConfigError.of("--dead-time", "needs --lag LOW HIGH; --lag 0 0 is a brake without lag")
-    if lag is not None and lag[0] > lag[1]:
-        raise ConfigError.of("--lag", f"{lag[0]:g} {lag[1]:g}: must not fall; write --lag {lag[1]:g} {lag[0]:g}")
-    brake = None if lag is None else Brake(*lag, dead_time or 0.0)
+    brake = _brake(rig, lag, dead_time)
     check_table(table)
     if figure is not None:
         check_figure(figure)
     box = stated_box(uncertain or HARD, nominal_parameters(rig.model))
+    if share := faded_share(rig):
+        box = box.faded(share)
     report = judge_gains(rig, box, speeds, slip_band, slips, brake).report()
     if table is not None:
         curves = report["curves"]
@@ -122,6 +128,21 @@ def design(
 
         show(render_design(report))
     return LOSSES if report["advice"] else 0
+
+
+def _brake(rig: RigConfig, lag: tuple[float, float] | None, dead_time: float | None) -> Brake | None:
+    """The brake that is stated, else the identified one."""
+    from inteco_abs.gain_design import Brake, identified_brake
+
+    if lag is not None and lag[0] > lag[1]:
+        raise ConfigError.of("--lag", f"{lag[0]:g} {lag[1]:g}: must not fall; write --lag {lag[1]:g} {lag[0]:g}")
+    found = identified_brake(rig) if lag is None else Brake(*lag, 0.0)
+    if dead_time is None:
+        return found
+    if found is None:
+        problem = "needs --lag LOW HIGH, or an identified lag; --lag 0 0 is a brake without lag"
+        raise ConfigError.of("--dead-time", problem)
+    return found._replace(dead_time_s=dead_time)
 
 
 def _require_ranges(

@@ -238,7 +238,11 @@ class IdentifiedConfig(Section):
     brake_dead_time_s: Annotated[float, Interval(ge=0.0, le=0.2)] | None = None
     """Dead time of the brake, for the observer, which limits it to 2 to 30 ms; `adaptive-observer` to 2 to 60 ms."""
     brake_release_ratio: Annotated[float, Interval(ge=0.3, le=4.0)] | None = None
-    """Lag of the brake in releasing over that in rising, for the observers."""
+    """Lag of the brake in releasing over that in rising, for the observers and `design`."""
+    brake_release_delay_s: Annotated[float, Interval(ge=-0.2, le=0.2)] | None = None
+    """How much longer the dead time of a release is than that of a rise, s; for `design`."""
+    brake_fade_per_kj: Annotated[float, Interval(ge=0.0, le=5.0)] | None = None
+    """Fade with heat: after E kJ of work the torque is 1 / (1 + fade * E) of the cold brake's; for `design`."""
     drive_stall_torque_nm: _Positive | None = None
     """Stall torque of the drive motor, N m; the guard judges the run-up by it, and no controller uses it."""
     drive_no_load_speed_rad_s: _Positive | None = None

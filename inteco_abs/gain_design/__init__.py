@@ -2,8 +2,8 @@
 
 from inteco_abs.gain_design.advice import Advice
 from inteco_abs.gain_design.assessment import Assessment, judge_gains
-from inteco_abs.gain_design.harmonic_balance import Balance, Brake
-from inteco_abs.gain_design.uncertainty import HARD, KNOWN, Box, ParameterRange, stated_box
+from inteco_abs.gain_design.harmonic_balance import Balance, Brake, identified_brake
+from inteco_abs.gain_design.uncertainty import HARD, KNOWN, Box, ParameterRange, faded_share, stated_box
 
 __all__ = [
     "HARD",
@@ -14,6 +14,8 @@ __all__ = [
     "Box",
     "Brake",
     "ParameterRange",
+    "faded_share",
+    "identified_brake",
     "judge_gains",
     "stated_box",
 ]

@@ -43,6 +43,8 @@ _SWING: Final = 0.02
 _SETTLING_S: Final = 0.2
 _CYCLES: Final = 4
 _HALVINGS: Final = 60
+_FILTERS: Final = (MovingWindow, TwoWheels)
+"""Estimators that only filter counts."""
 _GAIN_MARGIN: Final = 2.0
 """An advised gain is so many times smaller than the one that the loop bears."""
 _TO_SPARE: Final = 1.05
@@ -55,6 +57,19 @@ class Brake(NamedTuple):
     most_lag_s: float
     dead_time_s: float
     """The longest one: less delay bears more gain."""
+
+
+def identified_brake(config: RigConfig) -> Brake | None:
+    """The brake of [model.identified], the slower of rise and release.
+
+    None if its lag is not identified, or for an estimator that models the brake itself.
+    """
+    own = config.model.identified
+    if own.c31 is None or not isinstance(make_estimator(config), _FILTERS):
+        return None
+    lags_s = (1.0 / own.c31, (own.brake_release_ratio or 1.0) / own.c31)
+    dead_time_s = own.brake_dead_time_s or 0.0
+    return Brake(min(lags_s), max(lags_s), dead_time_s + max(0.0, own.brake_release_delay_s or 0.0))
 
 
 class Response(NamedTuple):
@@ -204,7 +219,7 @@ def _amplitude(gain: Callable[[float], float], most: float) -> float:
 def response(config: RigConfig, slip: float, road_speed: float, frequency: float) -> Response:
     """How the configured estimator sees a slip that swings at `frequency` (rad/s), from ideal encoders' counts."""
     estimator = make_estimator(config)
-    if not isinstance(estimator, MovingWindow | TwoWheels):
+    if not isinstance(estimator, _FILTERS):
         name = config.estimator.name
         raise ConfigError.of(
             "estimator.name", f"{name!r} models the brake itself: --lag needs one that only filters counts"

@@ -8,8 +8,9 @@ from dataclasses import dataclass, fields, replace
 from itertools import product
 from typing import Any, Final, NamedTuple
 
+from inteco_abs.config import RigConfig
 from inteco_abs.errors import ConfigError, ConfigIssue, near_match
-from inteco_abs.rig import RigParameters, RigVariation
+from inteco_abs.rig import RigParameters, RigVariation, nominal_parameters
 
 HARD: Final = (
     "J1=5%",
@@ -78,11 +79,27 @@ class Box:
         rig = replace(RigVariation(replace(self.nominal, **constants)), **own)
         return SampledRig(rig, values.get("f", 1.0), values.get("g", 1.0))
 
+    def faded(self, share: float) -> Box:
+        """The box with brakes that may have lost up to this share of their torque, 0..1."""
+        gain = next((one for one in self.spreads if one.name == "brake_gain"), ParameterRange("brake_gain", 1.0, 1.0))
+        others = tuple(one for one in self.spreads if one != gain)
+        return Box(self.nominal, (*others, gain._replace(low=gain.low * (1.0 - share))))
+
     def corners(self) -> Iterator[SampledRig]:
         """The rigs with each parameter at one end of its range."""
         names = [spread.name for spread in self.spreads]
         for ends in product(*((spread.low, spread.high) for spread in self.spreads)):
             yield self.draw(dict(zip(names, ends, strict=True)))
+
+
+def faded_share(config: RigConfig) -> float:
+    """Share of the brake's torque that an identified fade may cost in a stop from the start speed, 0..1.
+
+    The brake can take no more than the energy of both wheels as they roll.
+    """
+    k, speed = nominal_parameters(config.model), config.experiment.start_speed_rad_s
+    energy_kj = 0.5e-3 * (k.J2 + (k.r2 / k.r1) ** 2 * k.J1) * speed * speed
+    return 1.0 - 1.0 / (1.0 + (config.model.identified.brake_fade_per_kj or 0.0) * energy_kj)
 
 
 def stated_box(statements: Sequence[str], nominal: RigParameters) -> Box:

@@ -43,6 +43,13 @@ _NEEDED: Final[Mapping[str, tuple[SegmentKind, str]]] = {
 _DISC_ERRORS: Final = dict(zip(HARMONICS, ("eccentricity", "second_harmonic"), strict=True))
 _MOST_DISC_COUNTS: Final = 100.0
 """Without a measurement; the limit of `EncoderVariation`."""
+_OF_THE_BRAKE: Final = {
+    "brake_dead_time": ("brake_dead_time_s", 0.0, 0.2),
+    "brake_release_ratio": ("brake_release_ratio", 0.3, 4.0),
+    "brake_release_delay": ("brake_release_delay_s", -0.2, 0.2),
+    "brake_fade": ("brake_fade_per_kj", 0.0, 5.0),
+}
+"""Key of [model.identified] of an estimate, with its range there."""
 
 EstimateStatus = Literal["identified", "assumed", "not identified"]
 
@@ -146,10 +153,9 @@ class Identification:
             own |= {name: getattr(parameters, name) for name in ("w1", "w2", "w3", "w4", "a", "p")}
         if known("brake_lag"):
             own["c31"] = parameters.c31
-        if known("brake_dead_time"):
-            own["brake_dead_time_s"] = min(max(0.0, by_name["brake_dead_time"].value), 0.2)
-        if known("brake_release_ratio"):
-            own["brake_release_ratio"] = min(max(by_name["brake_release_ratio"].value, 0.3), 4.0)
+        for name, (key, low, high) in _OF_THE_BRAKE.items():
+            if known(name):
+                own[key] = min(max(low, by_name[name].value), high)
         if known("drive_stall_torque", "drive_no_load_speed"):
             own["drive_stall_torque_nm"] = by_name["drive_stall_torque"].value
             own["drive_no_load_speed_rad_s"] = by_name["drive_no_load_speed"].value

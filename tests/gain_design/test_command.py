@@ -49,6 +49,14 @@ def test_the_installed_command_ends_with_3_when_there_is_advice_and_with_2_when_
     assert "--speeds: 180 10: must rise; write --speeds 10 180" in reversed_.stderr
 
 
+def test_an_identified_fade_makes_the_brakes_of_the_set_weaker(design):
+    rig = ("--set", "model.identified.brake_fade_per_kj=1.0", "--json")
+    stated = json.loads(design("--uncertain", "brake_gain=10%", *rig)[1])["uncertain"]["brake_gain"]
+    energy_kj = 0.5e-3 * (0.02560 + (99 / 99.5) ** 2 * 0.0075281) * 180.0**2
+    assert stated == pytest.approx([0.9 / (1.0 + energy_kj), 1.1], rel=1e-3)
+    assert json.loads(design("--uncertain", "mu=1%", *rig)[1])["uncertain"]["brake_gain"][1] == 1.0
+
+
 def test_the_json_object_has_the_numbers_and_the_curves(design):
     code, printed = design("--uncertain", "mu=10%", "--set", "guard.brake_limit=0.7", "--from-slip", "0.4", "--json")
     report = json.loads(printed)

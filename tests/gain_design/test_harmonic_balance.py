@@ -156,6 +156,29 @@ def test_the_command_reports_the_loop(capsys):
     assert "a second" in capsys.readouterr().out
 
 
+IDENTIFIED = """
+[model.identified]
+c31 = 20.0
+brake_dead_time_s = 0.01
+brake_release_ratio = 2.0
+brake_release_delay_s = 0.004
+"""
+
+
+def test_the_brake_of_an_identified_rig_is_judged_unless_another_is_stated(tmp_path, capsys):
+    (tmp_path / "rig.toml").write_text(IDENTIFIED)
+
+    def reported(*stated):
+        command = ["design", "--config", str(tmp_path / "rig.toml"), "--uncertain", "mu=1%", "--json", *stated]
+        cli.main(command, standalone_mode=False)
+        return json.loads(capsys.readouterr().out)["brake"]
+
+    assert reported() == pytest.approx({"least_lag_s": 0.05, "most_lag_s": 0.1, "dead_time_s": 0.014})
+    assert reported("--dead-time", "0.02")["dead_time_s"] == 0.02
+    assert reported("--lag", "0.03", "0.04") == {"least_lag_s": 0.03, "most_lag_s": 0.04, "dead_time_s": 0.0}
+    assert reported("--set", "estimator.name=observer") is None
+
+
 @pytest.mark.parametrize(
     ("given", "problem"),
     [(["--dead-time", "0.01"], "needs --lag"), (["--lag", "0.06", "0.03"], "must not fall; write --lag 0.03 0.06")],
