@@ -67,6 +67,8 @@ def measured_adhesion_slope(slip: float) -> float:
 
 def blended(k: RigParameters, blend: float, slip: float) -> float:
     """Adhesion at `slip` in 0..1: equation (8), with a share of `blend` in 0..1 of the measured curve."""
+    if blend == 0.0:
+        return formula(k, slip)
     return (1.0 - blend) * formula(k, slip) + blend * _measured(slip)
 
 

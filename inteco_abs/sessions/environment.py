@@ -71,7 +71,8 @@ def installed_packages() -> bytes:
 def _named(package: Distribution) -> str:
     """Name and version; empty for the remains of an uninstalled package, or metadata that cannot be read."""
     try:
-        name, number = package.metadata["Name"], package.version
+        facts = package.metadata  # read and parsed with each look
+        name, number = facts["Name"], facts["Version"]
     except (OSError, ValueError, LookupError, AttributeError, TypeError):
         return ""
     return f"{name}=={number}" if name and number else ""

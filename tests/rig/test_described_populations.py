@@ -91,6 +91,7 @@ def test_wild_draws_every_defect_that_a_rig_can_have():
     assert same == {
         *("brake_map", "brake_duty_cap", "brake_pwm_steps", "command_delay_ticks"),
         *("road", "later_road", "later_road_after_s"),
+        "brake_release_delay_s",  # of no rig is it known; `release` over `rise` is drawn
     }
 
 
