@@ -26,15 +26,13 @@ _MOST_CORNERS: Final = 10_000
 """Of a line in the figure, which is narrower than that in any print."""
 
 
+_SLIP: Final = "slip_rms_fixed_true"
 _NOTE: Final = (
-    "slip RMS: of the true slip, from 20 ms after band entry down to 10 rad/s\n"
-    "locked, never in band: shares of stops; stop, N m/s: median distance, variation"
+    "slip RMS: of the true slip, from 0.25 s after braking began down to 10 rad/s;\n"
+    "below median and p99: the ends of their 90 % intervals; never: stops end earlier\n"
 )
-_NOTE_OF_RANGES: Final = (
-    "slip RMS: of the true slip, from 0.25 s after braking began down to 10 rad/s\n"
-    "locked, ended early: shares of stops; a stop that ended early has no RMS"
-)
-_FIXED: Final = "slip_rms_fixed_true"
+_NOTE_OF_TABLE: Final = f"{_NOTE}locked, never in band: shares of stops; stop, N m/s: median distance, variation"
+_NOTE_OF_RANGES: Final = f"{_NOTE}locked, ended early: shares of stops"
 _MOST_RANGES: Final = 6
 """Ranges of draws for which there is a table each."""
 _HEADINGS: Final = ("median", "p99", "max", "worst\nseed", "locked", "never\nin band", "stop\nm", "N m/s")
@@ -45,7 +43,7 @@ def render_sweep(rows: Sequence[SweepRow]) -> RenderableType:
     ranges = _by_range(rows)
     tables: list[RenderableType] = [_table(name, mine) for name, mine in ranges]
     if len(ranges) <= _MOST_RANGES:
-        return Group(*tables, Text(_NOTE, style="dim"))
+        return Group(*tables, Text(_NOTE_OF_TABLE, style="dim"))
     tables = [_table_of_ranges(name, mine) for name, mine in _by_combination(rows)]
     return Group(*tables, Text(_NOTE_OF_RANGES, style="dim"))
 
@@ -56,15 +54,30 @@ def _table_of_ranges(name: str, rows: Sequence[SweepRow]) -> Table:
     for heading in ("median", "p99", "max", "worst\nseed", "locked", "ended\nearly"):
         table.add_column(heading, justify="right", no_wrap=True)
     for row in rows:
-        summary, slip = row.summary, row.summary.spreads[_FIXED]
+        summary = row.summary
         table.add_row(
             Text(row.draws.name),
-            *(_number(value, ".4f") for value in (slip.median, slip.p99, slip.largest)),
-            str(row.seeds[slip.worst]),
+            *_slip_cells(row),
             f"{summary.locked:.0%}",
             f"{summary.failed / summary.stops:.0%}",
         )
     return table
+
+
+def _slip_cells(row: SweepRow) -> tuple[Text | str, ...]:
+    """Median, 99th percentile and maximum of the slip's RMS, and the seed of the worst stop."""
+    slip = row.summary.spreads[_SLIP]
+    return (
+        _with_interval(slip.median, slip.median_interval),
+        _with_interval(slip.p99, slip.p99_interval),
+        _number(slip.largest, ".4f"),
+        str(row.seeds[slip.worst]),
+    )
+
+
+def _with_interval(value: float, interval: tuple[float, float]) -> Text:
+    low, high = (_number(end, ".4f").removeprefix("0") for end in interval)
+    return Text.assemble(_number(value, ".4f"), "\n", (f">{low}\n<{high}", "dim"))
 
 
 def _by_combination(rows: Sequence[SweepRow]) -> list[tuple[str, list[SweepRow]]]:
@@ -82,12 +95,10 @@ def _table(name: str, rows: Sequence[SweepRow]) -> Table:
     for heading in _HEADINGS:
         table.add_column(heading, justify="right", no_wrap=True)
     for row in rows:
-        summary = row.summary
-        slip, spreads = summary.spreads["slip_rms_true"], summary.spreads
+        summary, spreads = row.summary, row.summary.spreads
         table.add_row(
             Text(row.combination.name),
-            *(_number(value, ".4f") for value in (slip.median, slip.p99, slip.largest)),
-            str(row.seeds[slip.worst]),
+            *_slip_cells(row),
             f"{summary.locked:.0%}",
             f"{summary.never_entered:.0%}",
             _number(spreads["stop_distance_m"].median, ".2f"),
@@ -100,7 +111,7 @@ def _by_range(rows: Sequence[SweepRow]) -> list[tuple[str, list[SweepRow]]]:
     """Ranges of draws in their order, each with its rows by the 99th percentile of the slip's RMS."""
 
     def p99(row: SweepRow) -> float:
-        return row.summary.spreads["slip_rms_true"].p99
+        return row.summary.spreads[_SLIP].p99
 
     names = dict.fromkeys(row.draws.name for row in rows)
     return [(name, sorted((row for row in rows if row.draws.name == name), key=p99)) for name in names]
@@ -113,7 +124,7 @@ def _number(value: float, form: str) -> str:
 def draw_sweep(rows: Sequence[SweepRow], path: Path) -> None:
     """Draw to `path` (.png, .svg or .pdf) which share of the stops has at most which slip RMS, a panel for each range.
 
-    A stop that never came near the reference is beyond every RMS. Only the best MOST_LINES of a range are drawn.
+    A stop that ends within 0.25 s of its braking is beyond every RMS. Only the best MOST_LINES of a range are drawn.
     """
     check_figure(path)
     from matplotlib.figure import Figure  # noqa: PLC0415  heavy, and an extra
@@ -138,7 +149,7 @@ def draw_sweep(rows: Sequence[SweepRow], path: Path) -> None:
         panel.grid(alpha=0.3)
         panel.legend(loc="best", frameon=False, fontsize="x-small")
     panels[-1].set_xlim(left=0.0)
-    panels[-1].set_xlabel("slip RMS, true [1]")
+    panels[-1].set_xlabel("slip RMS from 0.25 s on, true [1]")
     save_figure(figure, path)
 
 
@@ -147,7 +158,7 @@ def _draw_ranges(panel: Axes, rows: Sequence[SweepRow]) -> None:
     names = list(dict.fromkeys(row.draws.name for row in rows))
     combinations = _by_combination(rows)
     for number, (combination, mine) in enumerate(combinations):
-        slips = [row.summary.spreads[_FIXED] for row in mine]
+        slips = [row.summary.spreads[_SLIP] for row in mine]
         places = [names.index(row.draws.name) + 0.3 * number / len(combinations) for row in mine]
         colour = _COLOURS[number % len(_COLOURS)]
         # a stop that fails or never arrives is worse than any number
@@ -163,7 +174,7 @@ def _draw_ranges(panel: Axes, rows: Sequence[SweepRow]) -> None:
 
 
 def _shares(panel: Axes, row: SweepRow, **look: Any) -> None:
-    values = row["slip_rms_true"]
+    values = row[_SLIP]
     finite = np.sort(values[np.isfinite(values)])
     corners = np.concatenate([finite[:1], finite])  # up from zero at the first
     shares = np.arange(len(corners)) / len(values)

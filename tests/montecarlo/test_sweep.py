@@ -240,27 +240,29 @@ def test_the_table_has_the_best_first_and_fits_a_terminal(rows):
     text = console.export_text()
     first, second = text.split("rough:5: slip RMS of 1 stop each")
     assert "hard:3-4: slip RMS of 2 stops each" in first
-    for table in (first, second):
-        assert 0 < table.index("relay on") < table.index("steps on")
-        assert "never" in table
+    for table, mine in ((first, rows[:3]), (second, rows[3:])):
+        slips = {row.combination.config.controller.name: row.summary.spreads["slip_rms_fixed_true"] for row in mine[1:]}
+        best, worst = sorted(slips, key=lambda name: slips[name].p99)
+        assert 0 < table.index(f"{best} on") < table.rindex(f"{worst} on")
+        assert f">{slips[best].median_interval[0]:.4f}".replace("0.", ".") in table
         assert "…" not in table
     assert max(map(len, text.splitlines())) <= 80
 
 
-def test_the_figure_shows_which_share_has_which_rms_and_leaves_out_stops_that_never_came_near(
-    rows, monkeypatch, tmp_path
-):
+def test_the_figure_shows_which_share_has_which_rms_and_leaves_out_stops_that_have_none(rows, monkeypatch, tmp_path):
     saved = []
     monkeypatch.setattr(Figure, "savefig", lambda self, file, **_: (saved.append(self), file.touch()))
-    draw_sweep(rows, tmp_path / "sweep.png")
-    panel, other = saved[0].axes
+    short = braked(tmp_path / "short", grid("experiment.start_speed_rad_s=12", "controller.name=steps"), "nominal:0")
+    draw_sweep([*rows, *short], tmp_path / "sweep.png")
+    panel, other, last = saved[0].axes
     lines = {line.get_label(): line for line in panel.get_lines()}
     assert panel.get_title() == "hard:3-4"
     assert other.get_title() == "rough:5"
     relay = lines["relay on moving-window"]
-    assert list(relay.get_xdata())[1:] == sorted(rows[2]["slip_rms_true"])
+    assert list(relay.get_xdata())[1:] == sorted(rows[2]["slip_rms_fixed_true"])
     assert list(relay.get_ydata()) == [0.0, 0.5, 1.0]
-    assert len(lines["steps on moving-window, first=0.3"].get_xdata()) == 0
+    (nothing,) = last.get_lines()
+    assert len(nothing.get_xdata()) == 0
 
 
 def test_a_figure_that_cannot_be_written_is_an_error_and_nothing_is_left(rows, monkeypatch, tmp_path):

@@ -56,7 +56,7 @@ def test_the_answer_of_polars_is_that_of_the_table(tmp_path, monkeypatch, capsys
     assert "p99" in capsys.readouterr().out
     answers = {row["controller"]: row for row in found["answer"].collect().to_dicts()}
     for row in folder.rows():
-        spread, answer = row.summary.spreads["slip_rms_true"], answers[row.combination.config.controller.name]
+        spread, answer = row.summary.spreads["slip_rms_fixed_true"], answers[row.combination.config.controller.name]
         expected = {"stops": row.stops, "median": spread.median, "p99": pytest.approx(spread.p99)}
         assert {name: answer[name] for name in expected} == expected
     assert json.loads((tmp_path / "stops" / "sweep.json").read_text())["sha256"] == PLAN.name
