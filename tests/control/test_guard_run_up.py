@@ -223,6 +223,16 @@ def last_look_passes(duty: float, looks: int, speed: float, factor: float, *sett
     return passes
 
 
+@pytest.mark.parametrize(("rate_hz", "look_ns"), [(2000.0, 100_000_000), (100.0, 100_000_000), (50.0, 200_000_000)])
+def test_a_look_lasts_a_tenth_of_a_second_and_at_least_ten_periods(rate_hz, look_ns):
+    config = load_config(settings=["estimator.window_s=0.1", f"loop.rate_hz={rate_hz}"])
+    judge, far = judge_of(config, 1.5), 100 * config.encoders.counts_per_turn
+    assert judge(FIRST_NS, 0, 1.0, 0.0)
+    assert judge(FIRST_NS + look_ns, 0, 1.0, 0.0)
+    assert judge(FIRST_NS + 2 * look_ns - 1, far, 1.0, 0.0)
+    assert not judge(FIRST_NS + 2 * look_ns, far, 1.0, 0.0)
+
+
 @pytest.mark.parametrize(("duty", "looks"), [(1.0, 2), (1.0, 20), (1.0, 60), (1.0, 100), (0.6, 40)])
 @pytest.mark.parametrize("factor", [1.5, 1.2])
 def test_the_bounds_are_the_slowest_and_the_fastest_run_up_with_some_slack(duty, looks, factor):
