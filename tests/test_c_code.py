@@ -187,7 +187,7 @@ def without_compare(x: float) -> bool:
         from_the_end, least_of_both, without_compare,
     ],
 )  # fmt: skip
-def test_what_is_not_known_is_refused_with_its_line(function):
+def test_untranslatable_code_is_refused_with_its_line(function):
     first = function.__code__.co_firstlineno
     with pytest.raises(AbsError, match="cannot be translated to C") as refused:
         translated([function])

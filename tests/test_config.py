@@ -215,7 +215,7 @@ def test_a_stored_configuration_passes_the_checks_too():
 # every mistake at once, in words
 
 
-def test_five_different_mistakes_are_all_reported_with_key_value_and_what_is_allowed(written):
+def test_five_mistakes_are_reported_with_key_value_and_allowed_range(written):
     file = written(
         """
         profile = "sim_usb2"
@@ -509,7 +509,7 @@ def test_contradictions_are_reported_together_with_other_mistakes():
         "board.drive_pwm=true",
     ],
 )
-def test_a_value_that_is_wrong_by_itself_is_not_called_a_contradiction_as_well(setting):
+def test_an_invalid_value_is_not_also_reported_as_a_contradiction(setting):
     assert list(mistakes(setting)) == [setting.partition("=")[0]]
 
 

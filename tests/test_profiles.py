@@ -97,7 +97,7 @@ def test_every_scheme_begins_with_a_profile_of_its_own_kind(scheme):
     check_kind(f"{scheme}:", load_config(profile=default_profile(f"{scheme}:")))
 
 
-def test_a_profile_of_another_kind_than_the_address_is_refused_with_both_names():
+def test_a_profile_for_another_board_family_than_the_address_is_refused():
     with pytest.raises(ConfigError) as refusal:
         check_kind("pci:", load_config())
     assert "usb2" in str(refusal.value)
@@ -169,7 +169,7 @@ class TestSignature:
     def test_a_sign_off_is_not_valid_for_another_logic_name_or_day(self, lab, settings):
         assert "A. Lab" in lab(*settings).board.read_only
 
-    def test_a_reason_to_stay_off_cannot_be_taken_away_over_the_signature(self, tmp_path):
+    def test_a_read_only_reason_cannot_be_removed_under_a_sign_off(self, tmp_path):
         file = tmp_path / "lab.toml"
         text = LAB.format(signed_logic="0x0103") + 'read_only = "the brake is dismantled"\n'
         file.write_text(text, encoding="utf-8")
@@ -274,7 +274,7 @@ class TestLimits:
         with pytest.raises(ConfigError, match=r"guard\.bucket_limit: .*: more needs a signed profile"):
             check_limits(address, more)
 
-    def test_a_mock_on_a_real_boards_wire_is_as_lenient_as_it_is_in_this_program(self):
+    def test_a_mocks_profile_may_use_a_real_boards_address(self):
         mock = load_config(profile="sim_usb")
         check_kind("usb:", mock)
         check_limits("usb:", mock)

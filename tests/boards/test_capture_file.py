@@ -168,7 +168,7 @@ def test_a_file_that_was_cut_off_is_refused(tmp_path):
     ("data", "word"),
     [(b"\xd4\xc3\xb2\xa1\n", "run inteco-abs wire import first"), (b"", "line 1"), (b"\n", "line 1")],
 )
-def test_other_files_are_refused(tmp_path, data, word):
+def test_files_other_than_captures_are_refused(tmp_path, data, word):
     path = tmp_path / "x.jsonl"
     path.write_bytes(data)
     with pytest.raises(CaptureError, match=word):

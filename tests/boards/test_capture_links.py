@@ -113,7 +113,7 @@ def test_a_visit_to_a_first_generation_board_replays_with_no_difference(path):
     assert (link.differences, link.left) == ([], 0)
 
 
-def test_a_profile_says_how_its_board_speaks():
+def test_a_profile_names_its_boards_protocol():
     assert protocol_name(load_config(settings=["profile=sim_usb2"]).board) == "usb2"
     assert protocol_name(load_config(settings=["profile=usb1_0112"]).board) == "usb1-112"
     with pytest.raises(ConfigError, match="the messages of RT-DAC4/PCI are not known"):

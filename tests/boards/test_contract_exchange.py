@@ -19,7 +19,7 @@ class TestExchange:
         assert sample.dt_s == bench.config.period_ns / 1e9
         assert sample.board_flags is BoardFlags.NONE
 
-    def test_a_run_begins_at_tick_zero_one_period_long_however_long_the_board_was_held_before(self, new_bench):
+    def test_the_first_tick_is_zero_and_one_period_long(self, new_bench):
         bench = new_bench()
         with bench.board:
             for _ in range(5):

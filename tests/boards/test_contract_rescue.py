@@ -76,7 +76,7 @@ class TestRescue:
         assert wreck.acts == [*["send"] * wreck.sends_of_safe, "read"]
         assert wreck.unnumbered(wreck.settings_sent[0]) == wreck.settings_in(wreck.image)
 
-    def test_everything_but_the_outputs_stays_as_it_was(self, wreck):
+    def test_only_the_outputs_change(self, wreck):
         before = dict(wreck.device.settings)
         wreck.board.rescue(wreck.image)
         after = wreck.unnumbered({**before, "pwm0_width": 0, "pwm1_width": 0})
@@ -162,7 +162,7 @@ class TestRescue:
             assert wreck.device.duties == (0.4, 0.2)
         assert wreck.device.duties == OFF
 
-    def test_it_may_be_done_again_by_another_process(self, wreck):
+    def test_another_process_can_repeat_the_rescue(self, wreck):
         wreck.ignore_commands()
         with suppress(UnsafeError):
             wreck.board.rescue(wreck.image)

@@ -41,7 +41,7 @@ def test_a_field_that_the_board_does_not_have_is_named(new_bench):
 
 
 @pytest.mark.parametrize("change", [lambda answer: answer[:-1], lambda answer: answer[:3] + b"?" + answer[4:]])
-def test_a_damaged_answer_is_not_a_survey(new_bench, change):
+def test_a_damaged_answer_gives_no_device_list(new_bench, change):
     bench = new_bench(READ_ONLY)
     with bench.board as board:
         bench.link.change_answer = change

@@ -28,7 +28,7 @@ def test_messages_keep_their_boundaries_and_their_order(link):
     assert [link.read(10) for _ in range(3)] == [b"one", b"two", b"three"]
 
 
-def test_a_read_gives_no_more_than_was_requested(link):
+def test_a_read_returns_at_most_the_requested_bytes(link):
     link.write(b"three")
     assert link.read(2) == b"th"
 
@@ -54,7 +54,7 @@ def test_a_closed_link_carries_nothing_and_may_be_closed_again(link):
         link.read(10)
 
 
-def test_answers_without_a_reader_can_be_dropped(link):
+def test_unread_answers_are_dropped(link):
     for message in (b"one", b"two"):
         link.write(message)
     link.discard(10)

@@ -223,7 +223,7 @@ class TestMessages:
             board.send(message)
         assert [link.read(FRAME_BYTES) for _ in range(2)] == [b"four", b"five"]
 
-    def test_a_read_gives_no_more_than_was_requested_and_the_rest_is_dropped(self, mute):
+    def test_a_read_returns_at_most_the_requested_bytes_and_drops_the_rest(self, mute):
         link, board = mute
         board.send(b"three")
         board.send(b"four")
@@ -313,7 +313,7 @@ class TestTheBoardGoesAway:
     def test_dropping_answers_raises_nothing(self, orphan):
         orphan.discard(FRAME_BYTES)
 
-    def test_what_it_had_said_before_can_still_be_read(self, mute):
+    def test_its_earlier_messages_stay_readable(self, mute):
         link, board = mute
         board.send(b"last words")
         board.close()

@@ -81,7 +81,7 @@ def test_the_settings_are_those_of_the_last_good_frame_alone(new_mock, wire, scr
     assert reported["pin_input"] == fresh_answer["pin_input"]
 
 
-def test_a_buffer_that_the_host_changes_after_writing_is_not_remembered_by_reference(mock, wire):
+def test_a_written_buffer_is_copied(mock, wire):
     buffer = bytearray(wire.frame({10: 0b100100, 22: 10}))
     mock.front_end.bulk_out(buffer)
     buffer[44] = 200

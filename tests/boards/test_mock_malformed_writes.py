@@ -50,7 +50,7 @@ def test_four_bytes_that_are_no_request_change_nothing(new_mock, message):
     assert_rejected(mock, message)
 
 
-def test_a_good_frame_after_a_bad_one_is_taken(driving, wire):
+def test_a_good_frame_after_a_bad_one_is_accepted(driving, wire):
     driving.front_end.bulk_out(wire.frame({22: 0x8000}, SEND_COMMAND))
     driving.send(**{**DRIVING, "pwm0_width": 51})
     assert driving.front_end.rejected == 1

@@ -154,7 +154,7 @@ def test_velocities_are_counted_in_encoder_lines(mock, rpm, lines):
     assert mock.read(WHEEL_VELOCITY) == lines // 2
 
 
-def test_velocities_are_those_of_the_moment(mock):
+def test_velocities_are_instantaneous(mock):
     mock.width(0, 255)
     assert mock.read(ROAD_VELOCITY) == 0
     mock.time_ns += 500_000_000

@@ -93,7 +93,7 @@ def test_without_a_board_the_devices_are_listed(imported, monitor):
         imported(packets, monitor)
 
 
-def test_a_named_device_that_is_not_there_gets_the_list(imported, monitor):
+def test_an_unknown_device_name_lists_the_devices_found(imported, monitor):
     with pytest.raises(CaptureError, match=r"no packets of device 9\.9.*1\.5 \(2 on endpoint 0x02\)"):
         imported(tick(monitor), monitor, device="9.9")
 
@@ -126,7 +126,7 @@ def test_a_failed_message_out_becomes_an_error_in_its_place(imported, monitor):
     assert (capture.records[-1].of, capture.records[-1].data) == ("out", SEND)
 
 
-def test_an_answer_that_failed_becomes_an_error(imported, monitor):
+def test_a_failed_answer_raises_an_error(imported, monitor):
     capture = imported([*tick(monitor), *monitor.into(0x84, b"", status=5)], monitor)
     assert (capture.records[-1].kind, capture.records[-1].of) == (RecordKind.ERROR, "in")
 

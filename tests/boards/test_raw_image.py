@@ -206,7 +206,7 @@ def test_timer_0_runs_as_a_clock_of_20_mhz_once_the_board_is_open(logic):
     drive=st.integers(0, 255),
     brake=st.integers(0, 255),
 )
-def test_unknown_words_and_unused_channels_go_back_as_they_were_read(logic, seed, drive, brake):
+def test_unknown_words_and_unused_channels_are_written_back_unchanged(logic, seed, drive, brake):
     image = powered_up(logic, [seed.randrange(0x10000) for _ in range(252)])
     bench = Bench(logic, image)
     with bench.board:

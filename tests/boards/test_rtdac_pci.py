@@ -233,7 +233,7 @@ class TestSafe:
             bench.board.make_safe()
         assert bench.device.duties == (1.0, 0.0)
 
-    def test_a_rescue_writes_what_it_was_left_as_it_is(self, new_pci_bench):
+    def test_a_rescue_writes_the_prepared_image_unchanged(self, new_pci_bench):
         bench = new_pci_bench()
         left = [BRAKE, Write(WIDTH, 0), DRIVE, Write(WIDTH, 0)]
         bench.board.rescue(struct.pack("<8I", *(word for write in left for word in write)))

@@ -385,7 +385,7 @@ def new_board(config, server):
 
 class TestWithTheMock:
     @pytest.mark.untraced
-    def test_hosts_come_and_go_and_the_board_stays_as_it_is(self, served):
+    def test_the_board_keeps_its_state_when_hosts_disconnect(self, served):
         config, server = served
         for drive in (0.2, 0.4, 0.6):
             with new_board(config, server) as board:

@@ -156,7 +156,7 @@ class TestFinding:
         assert opened().read(0) == 0x01010101
 
     @pytest.mark.parametrize("address", [SECOND, "04:00.0"])
-    def test_one_of_several_is_named_by_its_address(self, tmp_path, opened, address):
+    def test_an_address_selects_one_of_several_devices(self, tmp_path, opened, address):
         add_board(tmp_path)
         add_board(tmp_path, SECOND, resource2=b"\2" * 256)
         assert opened(address).read(0) == 0x02020202
@@ -199,11 +199,11 @@ class TestFinding:
         with pytest.raises(BoardError, match=text):
             opened()
 
-    def test_a_kernel_without_the_switch_is_not_an_obstacle(self, tmp_path, opened):
+    def test_a_kernel_without_the_setting_is_accepted(self, tmp_path, opened):
         add_board(tmp_path, enable=None)
         opened()
 
-    def test_a_larger_range_than_needed_is_taken(self, tmp_path, opened):
+    def test_a_range_larger_than_needed_is_accepted(self, tmp_path, opened):
         add_board(tmp_path, size=1024)
         opened()
 

@@ -92,7 +92,7 @@ def test_a_brake_that_acts_far_more_than_expected_is_taken_for_one_without_lag(r
 
 
 @pytest.mark.parametrize("ratio", [1.0, 3.0])
-def test_a_slow_release_is_told_from_a_slow_rise(rolling, ratio):
+def test_a_slow_release_is_distinguished_from_a_slow_rise(rolling, ratio):
     rig = RigVariation(brake_dead_time_s=0.01, brake_map="measured", brake_release_ratio=ratio)
     run = driven(rolling, rig)
     assert run.observer.learnt == {}

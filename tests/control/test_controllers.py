@@ -105,7 +105,7 @@ def test_the_relay_brakes_below_the_reference_only(slip, brake):
 
 
 @pytest.mark.parametrize("kind", CONTROLLERS.values(), ids=CONTROLLERS)
-def test_every_controller_is_made_of_its_gains_and_names_at_most_four_internals(kind):
+def test_every_controller_names_its_gains_and_at_most_four_internals(kind):
     controller = kind(SETUP, **{gain.name: gain.default for gain in kind.gains})
     assert len(kind.internals) <= 4
     assert all(gain.low <= gain.default <= gain.high for gain in kind.gains)

@@ -63,7 +63,7 @@ def test_three_periods_skipped_at_once_do_not_trip():
 
 
 @pytest.mark.parametrize("kinds", [[(1, True), (1, True)], [STALE, (2, True)], [(2, False), (1, True)]])
-def test_skipped_periods_and_failed_exchanges_count_alike(kinds):
+def test_skipped_periods_and_failed_exchanges_count_the_same(kinds):
     assert AtRest().good_until_trip(kinds) == 1
 
 

@@ -89,7 +89,7 @@ def test_a_finite_request_is_moved_to_the_nearest_admissible_one(drive, brake):
 
 
 @given(st.floats(0.0, DRIVE_LIMIT), st.floats(0.0, BRAKE_LIMIT))
-def test_a_request_inside_the_limits_is_admitted_as_it_is(drive, brake):
+def test_a_request_within_the_limits_is_admitted_unchanged(drive, brake):
     assert Guard(CONFIG).admit(Command(drive, brake), AT_REST[0], SEEN) == Command(drive, brake)
 
 

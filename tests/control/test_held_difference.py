@@ -31,7 +31,7 @@ def estimator(*settings: str):
     return ESTIMATORS["difference"](config, MASK)
 
 
-def test_it_changes_every_10_ms_and_is_held_between():
+def test_the_output_changes_every_10_ms_and_is_held_between():
     speeds = follow(road(), lambda t: 200.0 * t - 68.0 * t * t, 2000)
     changes = [k for k in range(1, 2000) if speeds[k] != speeds[k - 1]]
     assert changes == list(range(20, 2000, 20))

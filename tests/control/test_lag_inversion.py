@@ -62,7 +62,7 @@ def test_the_torque_is_there_within_a_period_where_the_brake_can(name):
         assert torque == pytest.approx(wanted, rel=1e-9)
 
 
-def test_at_its_limits_the_brake_gets_full_or_no_duty_until_it_is_there():
+def test_torque_demands_at_the_limits_give_full_or_no_duty():
     controller = law("reaching-law", lag_s=LAG_S)
     rising = list(braked(controller, [0.1] * 300))
     arrived = next(i for i, (demand, torque) in enumerate(rising) if torque == pytest.approx(demand.torque_nm))

@@ -45,7 +45,7 @@ class History:
 
 @several_rates
 @given(seed=SEEDS, dead_time=DEAD_TIMES)
-def test_what_arrives_is_the_mean_of_what_was_put_out_a_dead_time_before(period_s, seed, dead_time):
+def test_the_acting_duty_is_the_mean_one_dead_time_earlier(period_s, seed, dead_time):
     written = History(seed, period_s)
     mean, slope = arrived(written.pending.k, written.pending, dead_time, 0)
     assert mean == pytest.approx(written.mean(dead_time), abs=1e-9)
@@ -88,7 +88,7 @@ def test_looking_ahead_is_the_lag_of_all_that_is_under_way(seed, dead_time, lag,
 
 
 @given(SEEDS, DEAD_TIMES, LAGS)
-def test_the_newest_command_is_just_about_to_come_through_at_the_horizon(seed, dead_time, lag):
+def test_the_newest_command_takes_effect_at_the_horizon(seed, dead_time, lag):
     (_, then, _), (_, later, _) = (
         ahead(line.k, line, 1.0, dead_time, lag, 1.0)
         for line in (History(seed, last=each).pending for each in (2.0, 3.0))

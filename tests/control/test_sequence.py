@@ -280,7 +280,7 @@ def test_a_start_speed_that_is_not_reached_in_time_is_named(play):
     assert play.phase is Phase.SPIN_UP
 
 
-def test_a_stop_that_does_not_come_in_time_is_named(play):
+def test_a_stop_past_its_time_limit_is_named(play):
     play.reach(Phase.BRAKING)
     reasons = [play.step(50.0).reason for _ in range(1100)]
     assert reasons.index(Reason.BRAKING_TIMEOUT) * play.period_s == pytest.approx(0.5, abs=2 * play.period_s)

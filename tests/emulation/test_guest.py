@@ -234,7 +234,7 @@ class TestPci:
     def test_of_two_boards_one_must_be_named(self, pci):
         assert "2 RT-DAC4/PCI boards: name one" in pci.report["which"]
 
-    def test_one_program_at_a_time_has_them(self, pci):
+    def test_only_one_program_at_a_time_can_hold_them(self, pci):
         assert "another program has the board" in pci.report["taken"]
 
     def test_the_driver_enters_the_board_and_its_writes_arrive_at_the_far_side(self, pci):

@@ -258,7 +258,7 @@ def test_a_transfer_that_is_taken_in_part_is_an_error(in_process, monkeypatch):
     link.close()
 
 
-def test_an_answer_longer_than_asked_for_is_an_error(in_process):
+def test_an_answer_longer_than_requested_is_an_error(in_process):
     link = in_process.open_link()
     link.write(READ_REQUEST)
     with pytest.raises(LinkError, match="sent more than requested"):

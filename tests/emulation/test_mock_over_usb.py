@@ -57,7 +57,7 @@ def test_wrong_messages_are_dropped(real_board):
     assert board.front_end.rejected == 3
 
 
-def test_endless_message_fills_no_memory(real_board):
+def test_an_endless_message_uses_bounded_memory(real_board):
     device, board = real_board
     for _ in range(20):
         device.write(0x02, bytes(1 << 16))
@@ -67,7 +67,7 @@ def test_endless_message_fills_no_memory(real_board):
     assert len(device.read(0x84, FRAME_BYTES)) == FRAME_BYTES
 
 
-def test_unread_answers_are_not_kept_for_ever(real_board):
+def test_unread_answers_are_bounded(real_board):
     device, board = real_board
     for _ in range(100):
         device.write(0x02, READ_REQUEST)

@@ -61,7 +61,7 @@ def test_transfers_are_queued_unless_the_configuration_says_otherwise(named, eng
 
 
 @pytest.mark.usefixtures("stubs")
-def test_without_the_package_for_queued_transfers_there_is_one_engine_and_the_log_says_so(monkeypatch, caplog):
+def test_without_libusb1_transfers_are_synchronous_and_the_log_says_so(monkeypatch, caplog):
     monkeypatch.setattr(usb_engines, "find_spec", lambda _name: None)
     link = open_usb("", UsbConfig())
     assert (link.engine, link.engines) == ("one-by-one", ())

@@ -115,7 +115,7 @@ def test_short_control_answer_that_must_not_be(host, log):
     assert (log[0].status, log[0].actual) == (-errno.EREMOTEIO, 18)
 
 
-def test_unplug_ends_everything_and_is_reported_once(host, log):
+def test_unplugging_ends_all_transfers_and_is_reported_once(host, log):
     notified = []
     host.listeners.append(notified.append)
     reads = [log.urb(0x84, length=64) for _ in range(2)]

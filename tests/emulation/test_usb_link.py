@@ -94,7 +94,7 @@ def test_a_device_without_one_of_the_boards_four_endpoints_is_refused(missing):
 
 
 @pytest.mark.parametrize("halted", ENDPOINTS)
-def test_a_pipe_that_a_program_before_has_left_halted_needs_no_replug(halted):
+def test_an_endpoint_left_halted_recovers_without_replugging(halted):
     bus = Bus()
     bus.host.submit(halt_of(halted))
     with bus.driver() as board:
@@ -139,7 +139,7 @@ def test_a_board_has_one_program_at_a_time(bus):
     bus.link().close()
 
 
-def test_a_silent_board_is_a_link_error_that_says_so(bus):
+def test_a_silent_board_raises_a_link_error(bus):
     link = bus.link()
     with pytest.raises(LinkError, match="did not answer within 10 ms"):
         link.read(504)

@@ -194,7 +194,7 @@ def test_unlink_in_time_and_nothing_more_of_it(attached):
     attached.ask(submit(5, IN, 4, 64), returned(5, 0, 2, b"hi"))
 
 
-def test_unlink_too_late(attached):
+def test_an_unlink_after_completion_is_answered(attached):
     attached.ask(
         submit(2, OUT, 2, 2, b"hi") + unlink(3, 2) + unlink(4, 77),
         returned(2, 0, 2) + unlinked(3, 0) + unlinked(4, 0),
@@ -317,7 +317,7 @@ def test_disconnect_in_the_middle(peer, server, host, kind):
     assert not any(host._queues.values())
 
 
-def test_reimport_finds_a_board_just_plugged_in(serve, host):
+def test_a_second_import_finds_a_newly_plugged_board(serve, host):
     with serve(host) as (server, address):
         first = Peer(address).take()
         first.ask(drill(2, Drill.HALT, 0, 0x84), returned(2, 0, 0))

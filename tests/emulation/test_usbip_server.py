@@ -14,7 +14,7 @@ def server():
     server.close()
 
 
-def test_facts(server):
+def test_bind_reports_address_ids_and_commands(server):
     facts = server.bind()
     port = facts.address.port
     assert port

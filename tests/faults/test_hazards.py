@@ -17,7 +17,7 @@ INJECTIONS = [(row["number"], each) for row in HAZARDS for each in row.get("inje
 EXPLAINED = {"completes", "warned", *(reason.name for reason in Reason)}
 
 
-def test_the_hazards_are_numbered_through():
+def test_hazards_are_numbered_consecutively():
     assert [row["number"] for row in HAZARDS] == list(range(1, len(HAZARDS) + 1))
 
 

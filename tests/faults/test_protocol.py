@@ -9,7 +9,7 @@ SECOND_LINE = {"loop_waits_for_the_guardian", "supervisor_stops"}
 
 
 @pytest.mark.parametrize("strikes", [0, 1, 2, pytest.param(3, marks=pytest.mark.long)])
-def test_the_output_goes_off_whichever_processes_are_killed_or_frozen_and_whenever(strikes, record_property):
+def test_outputs_go_off_for_any_processes_killed_or_frozen_at_any_time(strikes, record_property):
     states, count, problem = explore(Rules(), strikes, BOUND)
     record_property("figures", f"processes of a run, {strikes} killed or frozen: {states} states, {count} steps")
     assert problem == ""

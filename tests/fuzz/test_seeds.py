@@ -22,7 +22,7 @@ def fuzz():
 
 
 @pytest.mark.parametrize("seed", SEEDS, ids=lambda file: f"{file.parent.name}-{file.name}")
-def test_a_seed_is_taken_or_refused_as_it_should_be(fuzz, seed, monkeypatch, tmp_path):
+def test_valid_seeds_are_accepted_and_others_refused(fuzz, seed, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(os, "chdir", lambda _: None)
     monkeypatch.setattr(fuzz, "SCRATCH", tmp_path)
@@ -33,7 +33,7 @@ def test_every_target_has_a_seed(fuzz):
     assert {seed.parent.name for seed in SEEDS} == set(fuzz.TARGETS)
 
 
-def test_a_target_that_fails_is_found(fuzz, monkeypatch):
+def test_a_failing_fuzz_target_is_found(fuzz, monkeypatch):
     def fails():
         def target(data):
             if data:

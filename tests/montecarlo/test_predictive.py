@@ -49,7 +49,7 @@ def test_the_slip_of_a_hard_rig_is_held_to_a_thousandth_and_a_half():
 
 
 @pytest.mark.untraced
-def test_20_ms_of_dead_time_do_no_harm():
+def test_20_ms_of_dead_time_are_tolerated():
     require_targets(stops_of("slow", 3, OURS), 0.0015)
 
 
@@ -138,14 +138,14 @@ def test_the_whole_stack_gives_what_the_ensemble_gives(tmp_path):
         (("controller.name=boundary-layer", "estimator.name=kalman", "controller.gains.Mk=10"), 0.05),
     ],
 )
-def test_the_whole_stack_gives_a_baselines_medians(tmp_path, settings, of_rms):
+def test_a_virtual_run_reproduces_the_baselines_medians(tmp_path, settings, of_rms):
     found = ratios(tmp_path, 5, *settings)
     assert found == pytest.approx(dict.fromkeys(found, 1.0), abs=of_rms)
 
 
 @pytest.mark.untraced
 @pytest.mark.long
-def test_the_whole_stack_gives_the_medians_and_a_slip_that_is_not_worse(tmp_path):
+def test_virtual_runs_reproduce_the_medians_and_the_slip(tmp_path):
     """From rest the run-up is longer, and the discs are known better."""
     found = ratios(tmp_path, 20, OURS)
     assert [found[name] for name in ACTUATOR] == pytest.approx([1.0] * 3, abs=0.02)

@@ -74,7 +74,7 @@ def processes():
         yield pool
 
 
-def test_processes_that_share_nothing_give_the_same(together, processes):
+def test_independent_processes_give_the_same_result(together, processes):
     assert_equal(together, short_stops(traced=[0, 3], shard=3, executor=processes))
 
 
@@ -132,7 +132,7 @@ def test_braking_begins_for_each_rig_when_its_own_road_is_fast_enough():
         assert trace.road_speed_rad_s[-1] < 0.5 <= trace.road_speed_rad_s[-2]
 
 
-def test_without_run_up_wheels_roll_at_the_start_speed_and_braking_begins_at_once():
+def test_without_run_up_braking_begins_at_the_start_speed():
     config = configured("experiment.start_speed_rad_s=40", "controller.name=constant")
     stops = run_stops(RIGS[:1], config, controllers=OWN, run_up_from_rad_s=None, traced=[0])
     trace = stops.traces[0]

@@ -80,7 +80,7 @@ def test_a_unit_is_a_file_that_any_reader_of_parquet_understands(whole):
     assert relay["slip_rms_estimated"].null_count() == np.isnan(row["slip_rms_estimated"]).sum()
 
 
-def test_what_is_stored_is_what_is_missing_no_more(whole, begun):
+def test_stored_units_are_not_computed_again(whole, begun):
     part = next((whole.path / "part").glob("0-hard-10-10.parquet"))
     (begun.path / "part" / part.name).write_bytes(part.read_bytes())
     counts = []
@@ -112,7 +112,7 @@ def test_parts_make_the_whole(whole, begun):
     assert files(begun) == files(whole)
 
 
-def test_workers_that_do_the_same_do_no_harm(whole, begun):
+def test_two_workers_may_compute_the_same_unit(whole, begun):
     for _ in range(2):
         (begun.path / "part" / "0-hard-0-10.parquet").unlink(missing_ok=True)
         with parts.two_threads() as first, parts.two_threads() as second:
@@ -219,7 +219,7 @@ def test_the_description_of_another_program_is_refused(begun, monkeypatch):
         SweepFolder.open(begun.path)
 
 
-def test_a_folder_without_a_description_is_no_sweep(tmp_path):
+def test_a_folder_without_a_description_is_refused_as_a_sweep(tmp_path):
     with pytest.raises(ConfigError, match=r"--show: .*: not the folder of a sweep: sweep\.json: No such file"):
         SweepFolder.open(tmp_path, "--show")
 
@@ -329,7 +329,7 @@ def test_an_executor_that_cannot_be_had_is_an_error_of_the_option(monkeypatch, t
     assert caught.value.mistakes[0].path == "--executor"
 
 
-def test_a_record_of_a_failure_that_is_damaged_is_named_and_one_that_has_gone_is_none(begun):
+def test_a_damaged_failure_record_is_named_and_a_missing_one_ignored(begun):
     (begun.path / "failed" / "gone.json").symlink_to("nowhere")  # listed, and not there when it is read
     assert begun.failures() == {}
     (begun.path / "failed" / "torn.json").write_text("{")

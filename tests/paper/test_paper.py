@@ -50,7 +50,7 @@ def test_rivals_are_given_the_same_constant_rate_or_the_same_reaching_time(repor
         assert [(one["Mk_per_s"], round(one["Mq_per_s"], 2)) for one in of_experiment] == [(10, 4), (0, 4), (0, 4.93)]
 
 
-def test_equal_mq_chatters_alike_and_equal_reaching_time_chatters_more(report):
+def test_equal_mq_chatters_equally_and_equal_reaching_time_more(report):
     ours, mq, soon = (
         medians(report, "simulation", pairing)["slip_rms_fixed_true"]
         for pairing in ("", "equal Mq", "equal reaching time")
@@ -117,7 +117,7 @@ def test_the_figures_stop_is_the_one_in_the_middle(reproduced):
     assert trace.columns["time_s"][-1] == pytest.approx(middle["stop_time_s"])
 
 
-def test_only_estimates_are_named_so(reproduced):
+def test_only_estimated_traces_have_an_estimated_slip(reproduced):
     simulation, window, euler = reproduced.traces
     assert "slip_estimated" not in simulation.columns
     for trace in (window, euler):

@@ -41,7 +41,7 @@ def test_one_ideal_stop_knows_no_chance():
 
 
 @pytest.mark.parametrize(("rms", "reason"), [(0.991, "alike within 1 %"), (1.009, "alike within 1 %"), (1.02, "worse")])
-def test_the_claim_is_not_confirmed_by_what_is_alike_or_worse(rms, reason):
+def test_an_equal_or_worse_result_does_not_confirm_the_claim(rms, reason):
     found = against_one(stops([rms] * RIGS))
     assert not found.confirmed
     assert found.words.startswith(f"{reason}, slip RMS {rms:.2f} times")

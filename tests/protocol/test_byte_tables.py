@@ -38,7 +38,7 @@ def test_data_bytes_are_counted_from_behind_the_command():
     assert frame == bytes.fromhex("81 55 00 00 00 00 00 40")
 
 
-def test_a_value_is_cut_in_sevens_low_part_first():
+def test_a_value_is_split_into_seven_bit_parts_low_part_first():
     place = sent(("wide", words(1, 7, 7, 7, 5)))
     frame = place.encode({"wide": 0x2ABCDEF})
     assert frame[2:6] == bytes([0x6F, 0x1B, 0x2F, 0x15])

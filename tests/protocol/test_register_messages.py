@@ -19,12 +19,12 @@ steps = st.lists(offsets | st.builds(Write, offsets, words))
 
 
 @given(number=words, accesses=steps)
-def test_a_request_comes_back_as_it_was(number, accesses):
+def test_a_request_survives_encoding_and_decoding(number, accesses):
     assert decode_request(encode_request(number, accesses)) == (number, accesses)
 
 
 @given(number=words, values=st.lists(words))
-def test_an_answer_comes_back_as_it_was(number, values):
+def test_an_answer_survives_encoding_and_decoding(number, values):
     message = encode_answer(number, values)
     assert len(message) == answer_bytes(len(values))
     assert decode_answer(message) == (number, tuple(values))
@@ -40,7 +40,7 @@ def test_the_bytes_of_an_answer():
 
 
 @given(message=st.binary(max_size=64))
-def test_any_bytes_are_a_request_or_refused(message):
+def test_any_bytes_decode_to_a_request_or_are_refused(message):
     try:
         number, accesses = decode_request(message)
     except ProtocolError:

@@ -91,7 +91,7 @@ def test_a_value_is_cut_out_of_32_bits(register, raw, value):
 
 
 @pytest.mark.parametrize("raw", [-1, 1 << 32, None, True, 1.0])
-def test_what_no_register_can_hold_is_refused(raw):
+def test_a_value_wider_than_the_register_is_refused(raw):
     with pytest.raises(ProtocolError, match=rf"count: read {raw!r}, must be an integer in 0\.\.4294967295"):
         COUNT.decode(raw)
 

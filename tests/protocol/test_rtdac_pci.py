@@ -241,7 +241,7 @@ def test_window(ticks, us):
 @pytest.mark.parametrize(
     ("high", "low", "celsius"), [(1, 2, 35.0), (535, 1000, 21.0), (387.5, 1000, 80.0), (0, 9, 0), (9, 0, 0)]
 )
-def test_temperature(high, low, celsius):
+def test_the_temperature_follows_from_the_two_pulses(high, low, celsius):
     assert temperature_celsius(high, low) == pytest.approx(celsius)
 
 

@@ -74,7 +74,7 @@ def test_an_unknown_logic_is_refused_and_the_known_ones_are_named(logic):
 
 
 @pytest.mark.parametrize("logic", [None, "0x111", 273.5])
-def test_a_logic_that_is_not_a_number_is_refused_as_it_is(logic):
+def test_a_logic_version_that_is_not_a_number_is_refused_by_its_text(logic):
     with pytest.raises(ProtocolError, match=re.escape(f"logic = {logic!r}: must be one of 0x0111, 0x0112")):
         logic_of(logic)
 

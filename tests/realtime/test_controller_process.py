@@ -197,7 +197,7 @@ def test_one_that_does_not_answer_is_ended_after_a_bounded_wait(law, asked, unti
 
 
 @pytest.mark.usefixtures("patient")
-def test_its_prints_threads_and_children_do_not_come_between(law, capfd):
+def test_its_prints_threads_and_children_do_not_disturb_the_exchange(law, capfd):
     thread = "threading.Thread(target=time.sleep, args=(600,)).start()"
     did = {2: "print('said', flush=True)", 3: "sys.stdin.read()", 4: "os.fork()", 5: thread}
     process, controller = law(asked=f"exec({did!r}.get(self.calls, ''))")
@@ -218,7 +218,7 @@ def test_its_prints_threads_and_children_do_not_come_between(law, capfd):
         ({"made": "os._exit(5)"}, ConfigError, "has ended its process: exit code 5"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_loaded_is_reported_before_the_board_is_opened(law, monkeypatch, statements, kind, words):
+def test_a_load_error_is_reported_before_the_board_opens(law, monkeypatch, statements, kind, words):
     monkeypatch.setattr(isolated, "LOADING_MOST_S", 1.0 if "sleep" in str(statements) else 60.0)
     with pytest.raises(kind) as caught:
         law(**statements)

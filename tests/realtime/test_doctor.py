@@ -307,7 +307,7 @@ def test_a_system_without_proc_and_sys_is_not_known_and_no_error(tmp_path):
     assert len(of_linux) >= 14
 
 
-def test_boards_that_are_not_there_are_not_judged(new_root, tmp_path):
+def test_absent_boards_are_not_checked(new_root, tmp_path):
     changes = {**NO_PCI, **NO_USB, f"{FTDI}/ttyUSB0/latency_timer": None}
     names = {finding.name for finding in examine(tmp_path, new_root(changes))}
     assert "board" in names
@@ -449,7 +449,7 @@ def test_findings_become_facts_of_a_session(new_root, tmp_path):
         ("red amber", "red"),
     ],
 )
-def test_the_worst_verdict_is_the_whole_one(verdicts, expected):
+def test_the_overall_verdict_is_the_worst(verdicts, expected):
     assert worst(CheckResult("x", Rating(word), "") for word in verdicts.split()) == expected
 
 

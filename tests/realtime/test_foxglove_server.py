@@ -74,7 +74,7 @@ def test_nothing_is_served_unless_it_was_requested(memory, job):
         assert memory.words[Field.LIVE_PORT] == 0
 
 
-def test_a_viewer_sees_the_newest_tick_as_it_is_in_the_ring(memory, job, loop):
+def test_a_viewer_gets_the_rings_newest_tick(memory, job, loop):
     with live_view(memory, job), watching(memory.words[Field.LIVE_PORT]) as viewer:
         _, data = loop.reach(viewer)
         decoded = viewer.decode(data)
@@ -124,7 +124,7 @@ def test_the_channel_survives_the_garbage_collector(memory, job, loop):
             assert viewer.decode(viewer.next()[1]).tick == loop.number
 
 
-def test_no_other_computer_can_connect(memory, job):
+def test_connections_from_other_computers_are_refused(memory, job):
     with live_view(memory, job):
         port = f":{memory.words[Field.LIVE_PORT]:04X}"
         rows = [line.split() for name in ("tcp", "tcp6") for line in Path("/proc/net", name).read_text().splitlines()]
@@ -305,7 +305,7 @@ class TestStrangers:
                     time.sleep(PERIOD_S)
                 loop.reach(viewer)
 
-    def test_a_viewer_that_unsubscribed_gets_no_more_ticks(self, memory, job, loop):
+    def test_ticks_stop_when_a_viewer_unsubscribes(self, memory, job, loop):
         with live_view(memory, job), watching(memory.words[Field.LIVE_PORT]) as viewer:
             loop.reach(viewer)
             viewer.unsubscribe()

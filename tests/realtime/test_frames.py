@@ -58,7 +58,7 @@ def ended(new_memory, job_of):
     return memory, job
 
 
-def test_the_session_that_is_made_from_memory_has_the_frames_that_the_loop_has_left(ended):
+def test_a_session_rebuilt_from_memory_has_the_loops_frames(ended):
     memory, job = ended
     write_capture(memory.frames, CAPTURE)
     account = rebuild(memory, job, job.path)
@@ -68,7 +68,7 @@ def test_the_session_that_is_made_from_memory_has_the_frames_that_the_loop_has_l
     assert not memory.frames.exists()
 
 
-def test_the_session_of_a_killed_loop_has_everything_except_the_frames_and_names_them(ended):
+def test_a_killed_loops_session_lacks_only_the_frames_and_says_so(ended):
     memory, job = ended
     part = memory.frames.with_name(f"{memory.frames.name}.part")
     part.write_text('{"format"')
@@ -81,7 +81,7 @@ def test_the_session_of_a_killed_loop_has_everything_except_the_frames_and_names
     assert not part.exists()
 
 
-def test_a_loop_that_had_no_room_for_them_is_quoted(ended):
+def test_the_loops_error_about_frames_is_quoted(ended):
     memory, job = ended
     memory.post(Mailbox.FAILURE, {"kind": "CaptureError", "text": "No space left on device", "notes": []})
     assert "No space left on device" in rebuild(memory, job, job.path).trouble

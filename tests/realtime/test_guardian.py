@@ -98,7 +98,7 @@ class TestSilence:
         assert polls >= WINDOW_NS // POLL_NS - 2 - (0 if again else before)
 
     @given(st.lists(st.one_of(st.just("moves"), st.just("forgotten"), st.integers(1, 9)), max_size=60))
-    def test_what_moves_or_is_forgotten_within_each_window_is_never_silent(self, script):
+    def test_silence_never_lasts_while_counts_move_or_it_is_reset(self, script):
         silence, count = Silence(WINDOW_NS), 0
         for step in script:
             if step == "moves":
@@ -110,7 +110,7 @@ class TestSilence:
                 silence.forget()
                 assert not any(silence.lasts(count, POLL_NS) for _ in range(step))
 
-    def test_after_silence_a_new_count_ends_it(self):
+    def test_a_new_count_ends_the_silence(self):
         silence = Silence(WINDOW_NS)
         assert [silence.lasts(1, POLL_NS) for _ in range(20)].count(True) > 0
         assert not silence.lasts(2, POLL_NS)
@@ -231,7 +231,7 @@ def tick(buffer, offset, number):
 
 class TestDeath:
     @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGSEGV])
-    def test_a_holder_that_dies_has_its_board_made_safe_and_that_is_reported(self, run, child, number):
+    def test_the_board_of_a_dead_process_is_made_safe_and_that_is_reported(self, run, child, number):
         process = child()
         run.hold(process.pid)
         before_ns = time.monotonic_ns()
@@ -372,7 +372,7 @@ class TestDeath:
             assert run.words[Field.GUARDING_PID] == process.pid
 
 
-def test_a_supervisor_that_was_gone_before_the_guardian_came_ends_the_run(memory, job_of, ended):
+def test_a_supervisor_that_dies_before_the_guardian_starts_ends_the_run(memory, job_of, ended):
     memory.words[Field.SUPERVISOR_PID] = ended
     Guardian(memory, job_of(memory)).watch()
     assert memory.words[Field.GUARDIAN_STOP] == Reason.SUPERVISOR_LOST

@@ -104,9 +104,7 @@ class TestHang:
         ],
         ids=["fast loop", "longer window", "five periods of a slow loop"],
     )
-    def test_a_holder_that_ticked_and_then_went_silent_is_killed_and_its_board_made_safe(
-        self, scene, settings, window_ms
-    ):
+    def test_a_silent_owner_is_killed_and_its_board_made_safe(self, scene, settings, window_ms):
         scene.guard(*settings)
         assert scene.killed_within(1000, ticking=True) == 1000
         assert window_ms < scene.killed_within(1000) <= window_ms + 5
@@ -221,7 +219,7 @@ class TestTheOthers:
         ],
         ids=["supervisor", "recorder"],
     )
-    def test_a_silent_one_ends_the_run_while_it_lives(self, scene, silent, reason, window_ms):
+    def test_a_silent_process_ends_the_run(self, scene, silent, reason, window_ms):
         scene.guard()
         scene.words[Field.GO] = 1
         scene.look(50)

@@ -122,7 +122,7 @@ def test_wire_records_are_kept_when_the_board_is_released(process, tmp_path, wan
     assert process.memory.frames.exists() == ("frames" in wanted)
 
 
-def test_a_board_that_no_guardian_watches_is_not_opened_and_that_is_reported(process):
+def test_a_board_without_a_guardian_is_not_opened(process):
     process.words[Field.GUARDING_PID] = 0
     code = process.run()
     posted = process.memory.note(Mailbox.FAILURE)

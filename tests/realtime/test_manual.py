@@ -144,7 +144,7 @@ def test_leaving_in_mid_drive_leaves_the_outputs_off(bench):
     assert rig.device.duties == OFF
 
 
-def test_a_board_that_answers_no_more_is_not_shown_as_safe(bench):
+def test_a_board_that_stops_answering_is_not_shown_as_safe(bench):
     rig = bench()
 
     def drive_and_lose_it():
@@ -159,7 +159,7 @@ def test_a_board_that_answers_no_more_is_not_shown_as_safe(bench):
     assert reasons[-1] == Reason.MISSED_EXCHANGES
 
 
-def test_two_lost_answers_do_no_harm(bench):
+def test_two_lost_answers_are_tolerated(bench):
     with bench() as rig:
         rig.beats(0.3, Command(0.4, 0.0))
         rig.link.dead = True

@@ -111,7 +111,7 @@ class TestFile:
         with pytest.raises(SessionError, match=r"gone\.ring: No such file"):
             RunMemory.open(memory_folder / "gone.ring")
 
-    def test_making_opening_and_looking_leave_open_what_the_mappings_need_and_no_more(self, new_memory, memory_folder):
+    def test_only_the_mappings_descriptors_stay_open(self, new_memory, memory_folder):
         before = len(descriptors())
         made = new_memory()
         opened = RunMemory.open(made.path)
@@ -129,7 +129,7 @@ class TestFile:
             RunMemory.open(memory_folder)
 
     @pytest.mark.parametrize("number", [errno.ENOSPC, errno.ENOMEM, errno.EDQUOT])
-    def test_too_little_memory_is_said_with_what_to_change_and_leaves_no_file(self, memory_folder, monkeypatch, number):
+    def test_too_little_memory_is_an_error_with_advice_and_leaves_no_file(self, memory_folder, monkeypatch, number):
         def refuse(*_):
             raise OSError(number, os.strerror(number))
 
@@ -139,7 +139,7 @@ class TestFile:
         assert os.strerror(number) in str(refusal.value)
         assert not list(memory_folder.iterdir())
 
-    def test_room_for_a_run_is_requested_to_the_byte(self, memory, memory_folder, monkeypatch):
+    def test_a_run_reserves_exactly_the_bytes_it_needs(self, memory, memory_folder, monkeypatch):
         size = memory.path.stat().st_size
         assert run_bytes(TICK.size, 50, TRUTH.size, 50) == size
         monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=size * (folder == memory_folder)))
@@ -168,7 +168,7 @@ class TestFile:
         assert memory.words[Field.KEPT] == 1
         assert not RunMemory.open(memory.path).in_use()
 
-    def test_a_copy_that_lies_elsewhere_stays(self, memory, tmp_path):
+    def test_a_copy_in_another_folder_is_kept(self, memory, tmp_path):
         copy = tmp_path / "copy.ring"
         copy.write_bytes(memory.path.read_bytes())
         RunMemory.open(copy).remove()
@@ -195,7 +195,7 @@ class TestFile:
 
 class TestNotes:
     @pytest.mark.parametrize("note", Mailbox)
-    def test_a_note_is_none_before_it_is_posted(self, small, note):
+    def test_a_mailbox_is_empty_before_the_first_message(self, small, note):
         memory, other = small
         assert other.note(note) is None
         assert other.image(note) is None
@@ -216,7 +216,7 @@ class TestNotes:
         memory.post(Mailbox.DRILL, 1)
         assert other.note(Mailbox.DRILL) == 1
 
-    def test_while_a_note_is_replaced_there_is_none(self, small):
+    def test_a_mailbox_is_empty_while_its_message_is_replaced(self, small):
         memory, other = small
         seen = []
 
@@ -254,7 +254,7 @@ class TestWords:
             memory.words[word] = -1 - word
         assert [other.words[word] for word in Field] == [-1 - word for word in Field]
 
-    def test_words_and_notes_are_seen_by_another_process_and_its_own_here(self, memory, python_child):
+    def test_fields_and_mailboxes_are_shared_with_another_process(self, memory, python_child):
         memory.words[Field.GO] = 2**62
         memory.post(Mailbox.DRILL, "result")
         code = """
@@ -319,7 +319,7 @@ class TestRings:
         assert other.truth_reader().take() == record(100)
         assert other.histogram.sparse() == {"3": 1}
 
-    def test_a_ring_that_is_full_touches_nothing_else(self, memory):
+    def test_a_full_ring_writes_outside_no_row(self, memory):
         for ring in (memory.truth_ring(pack), memory.tick_ring(pack)):
             for number in range(50):
                 ring.append(number)

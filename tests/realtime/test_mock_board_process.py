@@ -49,7 +49,7 @@ def test_a_fault_that_has_acted_is_reported_before_the_next_exchange(memory, boa
     assert BoardFlags.STALE in flags
 
 
-def test_a_pause_suspends_the_holder_of_the_board_after_its_exchange_not_during_it(memory, board_with):
+def test_a_pause_suspends_the_boards_owner_after_its_exchange(memory, board_with):
     holder, board = board_with(f"pause={LONG_MS}@drive")
     with board:
         board.exchange(Command(0.1, 0.0))

@@ -54,7 +54,7 @@ class TestHolding:
             hold_and_raise(memory, AssertionError("it must not come so far"))
         assert memory.words[Field.HOLDER_PID] == 0
 
-    def test_this_process_is_the_holder_inside_and_no_process_after_a_normal_end(self, guarded):
+    def test_the_board_is_owned_by_this_process_until_a_normal_end(self, guarded):
         with holding(guarded):
             assert guarded.words[Field.HOLDER_PID] == os.getpid()
         assert guarded.words[Field.HOLDER_PID] == 0
@@ -102,7 +102,7 @@ def test_a_run_without_a_supervisor_is_to_end(memory):
     ],
     ids=lambda value: type(value).__name__,
 )
-def test_what_went_wrong_is_left_with_its_kind_its_text_and_its_notes(memory, error, kind, text):
+def test_a_failure_is_stored_with_kind_text_and_notes(memory, error, kind, text):
     error.add_note("and then")
     post_failure(memory, Mailbox.FAILURE, error)
     assert memory.note(Mailbox.FAILURE) == {"kind": kind, "text": text, "notes": ["and then"]}

@@ -198,12 +198,12 @@ def test_a_loop_that_was_silent_before_it_held_the_board_is_not_mistaken_for_hun
     assert killed == []
 
 
-def test_as_long_as_the_loop_lives_the_guardian_has_nothing_to_bring_to_an_end(scene):
+def test_the_guardian_ends_nothing_while_the_loop_lives(scene):
     scene.look(9000, guardian_beats=True)
     assert scene.words[Field.STOP] == 0
 
 
-def test_a_frozen_loop_is_reported_from_here_too(scene, until, capfd):
+def test_a_frozen_loop_is_reported_by_the_supervisor_too(scene, until, capfd):
     scene.look(600, guardian_beats=True)
     until(lambda: scene.words[Field.ALARMED], "it is said")
     assert STILL_ON in capfd.readouterr().err
@@ -229,7 +229,7 @@ def test_before_the_run_has_begun_no_process_is_judged(scene, job_of):
     assert scene.words[Field.SUPERVISOR_BEAT_NS] == scene.now_ns
 
 
-def test_a_computer_that_stood_still_gives_everybody_the_window_again(scene):
+def test_after_a_stall_of_the_computer_every_window_starts_over(scene):
     scene.look(100, guardian_beats=True, loop_ticks=True)
     scene.now_ns += 10**10
     scene.look(100)
@@ -267,7 +267,7 @@ class TestAlarm:
         return make
 
     @pytest.mark.parametrize("turn", range(4))
-    def test_no_tick_for_a_third_of_a_second_is_reported_by_each_in_its_turn(self, look, said, turn):
+    def test_processes_report_a_silence_of_300_ms_one_after_another(self, look, said, turn):
         assert 300 + 100 * turn < look(turn)(2000) <= 310 + 100 * turn
         (text,) = said
         assert STILL_ON in text

@@ -21,7 +21,7 @@ def stop(memory):
 
 
 @pytest.mark.parametrize("period_ns", PERIODS_NS)
-def test_a_guardian_that_beats_no_more_is_noticed_at_every_rate(stop, period_ns):
+def test_a_guardian_without_a_heartbeat_is_noticed_at_every_rate(stop, period_ns):
     # a little more than a period from one tick to the next, as on any computer
     reasons = [stop.wanted(START_NS + number * (period_ns + 1000)) for number in range(350_000_000 // period_ns)]
     assert reasons[0] is Reason.NONE

@@ -188,7 +188,7 @@ class TestDrill:
         ],
         ids=["SAFE was not confirmed", "no process took over", "there is no image"],
     )
-    def test_a_guardian_that_was_not_seen_to_make_safe_keeps_the_loop_from_the_board(
+    def test_without_a_passed_guardian_drill_the_loop_does_not_open_the_board(
         self, memory, staged, image, failure, refusal
     ):
         if image is not None:
@@ -220,7 +220,7 @@ class TestALoopWithoutEnd:
     @pytest.mark.parametrize(
         ("stop", "end"), [(Reason.SUPERVISOR_LOST, "; the guardian ended the run"), (Reason.NONE, "")]
     )
-    def test_what_ended_the_watching_thread_is_said(self, memory, job_of, child, stop, end):
+    def test_the_error_that_ended_the_watching_thread_is_reported(self, memory, job_of, child, stop, end):
         supervisor, said = Supervisor(memory, job_of(memory)), []
         supervisor._children |= {"loop": child("true"), "recorder": child()}
         memory.words[Field.GUARDIAN_STOP] = stop

@@ -227,7 +227,7 @@ def test_a_recorder_that_dies_while_the_loop_runs_ends_the_run(staged):
 
 
 @pytest.mark.parametrize(("saving", "most_s"), [(0, 2.0), (1, 30.0)])
-def test_a_loop_that_released_the_board_and_does_not_end_may_save_and_is_then_killed(staged, saving, most_s):
+def test_a_loop_that_released_the_board_may_save_before_it_is_killed(staged, saving, most_s):
     def lingers():
         if not staged.ticks.written:
             staged.went_s = staged.now_s
@@ -355,7 +355,7 @@ class TestByHand:
             (RESCUE, {"kind": "UnsafeError", "text": "on", "notes": []}, True, UnsafeError, "^on$"),
         ],
     )
-    def test_what_became_of_the_board_is_raised(self, staged, held, report, failure, image, error, words):
+    def test_the_boards_end_state_is_raised(self, staged, held, report, failure, image, error, words):
         def over():
             if image:
                 staged.memory.post(Mailbox.SAFE_IMAGE, b"all zero")

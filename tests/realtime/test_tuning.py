@@ -271,7 +271,7 @@ class TestProcesses:
         assert set(found["cpus"]) == choose(allowed, isolated)
 
     @real_time_processes
-    def test_garbage_is_frozen_and_not_collected(self, granted):
+    def test_the_garbage_collector_is_frozen(self, granted):
         _, found = granted("garbage")
         assert not found["collecting"]
         assert found["frozen"] > 1000

@@ -68,7 +68,7 @@ def test_a_tick_never_comes_before_a_state_that_it_has_seen(run):
     assert numbers(blocks) == (list(range(10_000)), list(range(7 + 10_000 * PER_TICK)))
 
 
-def test_of_a_ring_that_went_round_there_is_what_the_loop_cannot_reach_meanwhile(new_memory):
+def test_a_wrapped_ring_returns_only_rows_the_loop_cannot_overwrite(new_memory):
     memory = new_memory(800, 1700)
     run = Run(memory)
     for _ in range(3):

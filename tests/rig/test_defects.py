@@ -29,7 +29,7 @@ def standing(rig):
     return Plant(rig, 0.0, 0.0)
 
 
-def test_the_brake_releases_in_its_own_time():
+def test_the_brake_has_its_own_release_time():
     rig, lag_s = RigVariation(brake_release_ratio=3.0), 1.0 / RigVariation().parameters.c31
     plant = standing(rig)
     plant.advance(0.0, 0.7, lag_s)
@@ -87,7 +87,7 @@ def test_hysteresis_is_as_wide_as_it_says_and_a_released_brake_is_open():
     assert settled_after(rig, 1.0, 0.0) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_the_supply_sags_with_what_is_drawn():
+def test_the_supply_voltage_sags_with_the_current():
     rig = RigVariation(supply_sag=0.1)
     assert settled_torque(0.8, rig) == settled_torque(0.8 - 0.1 * 0.8**2, RigVariation())
     assert settled_torque(0.0, rig) == 0.0
@@ -120,7 +120,7 @@ def test_a_worn_wheel_that_rolls_turns_faster():
     assert plant.slip < 0.01
 
 
-def test_the_road_changes_to_and_fro_within_a_stop():
+def test_the_road_changes_and_changes_back_within_a_stop():
     steps = {"grip_step": -0.5, "grip_step_after_s": 0.1, "second_grip_step": 0.2, "second_grip_step_after_s": 0.2}
     rig = RigVariation(**steps, third_grip_step=-0.2, third_grip_step_after_s=0.3)
     assert [braked(rig, seconds).grip for seconds in (0.05, 0.15, 0.25, 0.35)] == pytest.approx([1.0, 0.5, 1.2, 0.8])
@@ -212,7 +212,7 @@ def disc_counts(disc, turns=3, per_turn=1000, seed=0):
     return [encoder.read(i * TURN / per_turn, 0.0) for i in range(turns * per_turn + 1)]
 
 
-def test_a_second_harmonic_comes_twice_a_turn():
+def test_a_second_harmonic_repeats_twice_per_turn():
     disc = EncoderVariation(2**16, second_harmonic_counts=50.0, second_harmonic_phase_rad=0.5)
     errors = [n - i * 2**16 / 1000 for i, n in enumerate(disc_counts(disc, turns=1))]
     assert max(errors) == pytest.approx(50.0, abs=1.5)

@@ -59,7 +59,7 @@ def test_a_share_of_the_draws_has_it_and_texts_are_chosen_from():
     assert [found.count(road) for road in ("", "snow", "ice")] == [pytest.approx(n, abs=60) for n in (500, 250, 250)]
 
 
-def test_both_encoders_are_drawn_each_by_itself():
+def test_the_encoders_are_drawn_independently():
     rig = draw("[encoders]\neccentricity_counts = [0, 5]\n", 1)
     assert rig.wheel_encoder.eccentricity_counts != rig.road_encoder.eccentricity_counts
 
@@ -132,12 +132,12 @@ def test_wild_draws_every_defect_that_a_rig_can_have():
         ("[wheel_encoder]\ncounts_per_turn = 4096", "4096 and 2048: must be the same; write it into .encoders."),
     ],
 )
-def test_a_mistake_is_named_by_its_key(text, says):
+def test_an_error_names_its_key(text, says):
     with pytest.raises(ValueError, match=says):
         draw(text, 0)
 
 
-def test_a_text_is_told_from_a_name():
+def test_a_text_is_distinguished_from_a_name():
     assert not any(map(is_described, POPULATIONS))
     assert is_described(WILD)
 

@@ -68,7 +68,7 @@ def test_forward_wheels_never_turn_back_with_the_drive_off(parameters, start, pu
 
 @costly
 @given(drive=duties, brake=duties)
-def test_the_drive_turns_resting_wheels_forward_or_not_at_all(parameters, drive, brake):
+def test_the_drive_never_turns_resting_wheels_backward(parameters, drive, brake):
     plant = Plant(parameters, 0.0, 0.0)
     for _ in range(4):
         plant.advance(drive, brake, 0.01)

@@ -128,7 +128,7 @@ def test_locked_wheel_holds_the_road_against_the_drive(parameters):
     assert plant.road_angle == pytest.approx(0.0, abs=1e-4)
 
 
-def test_wheel_turning_against_the_road_passes_through_zero_and_is_taken_along(parameters):
+def test_a_wheel_turning_backwards_passes_through_zero_and_speeds_up(parameters):
     plant = Plant(parameters, -100.0, 100.0)
     turned_back = False
     while plant.wheel_speed <= 0.0:

@@ -66,7 +66,7 @@ def test_a_variation_without_changes_is_the_published_rig(mask):
     assert stop(RigVariation()) == stop(mask)
 
 
-def test_a_change_that_has_not_come_yet_leaves_every_digit_as_it_was(mask):
+def test_a_future_change_alters_no_digit_before_it(mask):
     assert stop(RigVariation(grip_step=0.2, grip_step_after_s=60.0)) == stop(mask)
 
 

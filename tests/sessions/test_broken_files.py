@@ -142,7 +142,7 @@ def test_bytes_that_are_missing_or_doubled(trial):
 
 
 @pytest.mark.parametrize("name", ["info", "validate", "recover", "replay"])
-def test_a_verb_says_what_is_wrong_in_a_few_lines(short, altered, verb, tmp_path, name):
+def test_every_verb_reports_an_error_in_a_few_lines(short, altered, verb, tmp_path, name):
     generator = random.Random(6)
     data = short.read_bytes()
     for number in range(15):

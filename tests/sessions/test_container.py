@@ -56,7 +56,7 @@ def test_a_chunk_that_ends_within_a_record_is_damaged(groups, data):
 
 
 @given(st.sampled_from([opcode for opcode in Opcode if opcode != Opcode.MESSAGE]), st.binary(max_size=120))
-def test_any_bytes_are_a_record_or_damage(opcode, content):
+def test_any_bytes_decode_to_a_record_or_are_damage(opcode, content):
     try:
         found = fields(opcode, memoryview(content), exact=True)
     except DamagedError:

@@ -47,7 +47,7 @@ def test_a_session_does_not_differ_from_itself(quick):
     assert tuple(found.changes) == SECTIONS
 
 
-def test_a_run_again_differs_in_nothing(quick, run):
+def test_a_repeated_run_is_identical(quick, run):
     assert keys(diff_sessions(quick.session, run(name="again.mcap").session)) == {}
 
 

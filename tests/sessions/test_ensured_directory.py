@@ -8,7 +8,7 @@ from inteco_abs.errors import ConfigError, SessionError
 from inteco_abs.sessions import ensured_directory
 
 
-def test_a_folder_that_stays_empty_is_removed_with_the_parents_that_were_made(tmp_path):
+def test_an_empty_folder_is_removed_with_the_parents_it_created(tmp_path):
     (tmp_path / "old").mkdir()
     with ensured_directory(tmp_path / "old" / "new" / "newer"):
         assert (tmp_path / "old" / "new" / "newer").is_dir()

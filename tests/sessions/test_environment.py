@@ -109,7 +109,7 @@ def test_a_session_has_the_changes_of_its_source_tree_if_there_are_any(quick):
     assert quick.session.attachments.get("git.diff", b"") == diff
 
 
-def test_a_lab_s_own_profile_is_kept_as_it_was_written(tmp_path):
+def test_a_labs_own_profile_is_kept_verbatim(tmp_path):
     path = tmp_path / "ours.toml"
     path.write_bytes(b"# measured\n[board]\n")
     assert profile_source(str(path)) == b"# measured\n[board]\n"

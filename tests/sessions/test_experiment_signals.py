@@ -165,7 +165,7 @@ def test_a_second_late_signal_breaks_into_a_controller_that_never_returns(
     assert outer_signals == []
 
 
-def test_a_signal_after_the_last_tick_takes_nothing_back(run, monkeypatch, outer_signals):
+def test_a_signal_after_the_last_tick_keeps_the_session(run, monkeypatch, outer_signals):
     class Interrupted(FileWriter):
         def finish(self, *args) -> None:
             sender(signal.SIGINT)()

@@ -48,7 +48,7 @@ def test_events_are_on_the_clock_of_the_ticks(quick):
     assert set(events.rows["time_ns"].tolist()) <= set(tick.rows["time_ns"].tolist())
 
 
-def test_csv(exported):
+def test_rows_are_exported_as_csv(exported):
     expected, files = exported("csv")
     names = ["stop.csv", "stop.truth.csv", "stop.events.csv", "stop.columns.csv"]
     assert [path.name for path in files.values()] == names

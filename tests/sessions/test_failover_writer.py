@@ -133,7 +133,7 @@ def test_on_a_good_disk_the_file_is_where_it_should_be_and_nothing_is_said(kept)
     assert not run.spill.exists()
 
 
-def test_frames_that_were_not_kept_are_reported_beside_what_the_disk_has_refused(kept):
+def test_lost_frames_are_reported_beside_disk_errors(kept):
     def none():
         raise CaptureError("no process has saved them")
 
@@ -202,7 +202,7 @@ def test_ticks_that_come_just_as_the_disk_refuses_are_kept(tmp_path, chunked, ro
     whole(run.out, run)
 
 
-def test_a_disk_that_keeps_refusing_is_an_error_at_the_end_only_and_nothing_is_forgotten(kept):
+def test_a_disk_that_keeps_failing_is_an_error_at_the_end_and_loses_nothing(kept):
     run = kept(spill=False).introduce()
     run.add_all(before=lambda number: run.vanish() if number == 2 else None)
     with pytest.raises(SessionError, match=r"is gone: .*; the file could not be written again at the end either"):
@@ -211,7 +211,7 @@ def test_a_disk_that_keeps_refusing_is_an_error_at_the_end_only_and_nothing_is_f
     assert len(run.said) == 1
 
 
-def test_a_second_place_that_refuses_too_is_named(kept):
+def test_a_second_folder_that_fails_too_is_named(kept):
     run = kept().introduce()
     run.spill.parent.rmdir()
     run.add_all(before=lambda number: run.vanish() if number == 2 else None)
@@ -223,7 +223,7 @@ def test_a_second_place_that_refuses_too_is_named(kept):
         run.conclude()
 
 
-def test_if_the_second_folder_vanishes_too_the_first_is_used_again_once_it_is_back(kept):
+def test_the_first_folder_is_used_again_when_the_second_vanishes(kept):
     run = kept().introduce()
 
     def before(number):

@@ -100,7 +100,7 @@ class TestInTheSession:
         assert [message.log_time - epoch_ns for _, _, message, _ in found] == [each.time_ns for *_, each in found]
         assert [message.sequence for _, _, message, _ in found] == list(range(len(found)))
 
-    def test_they_stand_behind_the_last_tick_and_before_the_result(self, framed, officially):
+    def test_frames_follow_the_last_tick_and_precede_the_result(self, framed, officially):
         topics = [channel.topic for _, channel, *_ in officially(framed.path).messages]
         frames = topics.count(TOPIC)
         first = topics.index(TOPIC)
@@ -226,7 +226,7 @@ class TestDamage:
             ({"start_ns": "0"}, b"\x09" + bytes(8) + b"\x10\x01\x18\x01"),
         ],
     )
-    def test_invalid_frames_are_refused_in_one_sentence(self, tmp_path, facts, message):
+    def test_an_invalid_frame_is_refused_with_one_sentence(self, tmp_path, facts, message):
         with FileWriter(tmp_path / "x.mcap", 0) as recorder:
             head = {"board": "usb2", "recorded_by": "", "clock": ""} if facts else {}
             recorder.frames({**head, **facts}, [(0, message)])

@@ -76,7 +76,7 @@ def test_the_table_has_hash_reason_date_and_versions(folder):
     assert {"version", "python"} <= version["software"].keys()
 
 
-def test_a_cut_copy_ends_so_long_after_braking_began(folder, quick):
+def test_a_cut_copy_ends_the_requested_time_after_braking_begins(folder, quick):
     kept = folder.add(quick.session, "cut", "small", CONTROLLERS, until_s=0.06)
     braking = int((read_session(folder.file(kept)).ticks["phase"] == Phase.BRAKING).sum())
     assert braking == 121
@@ -140,7 +140,7 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path, quick):
         place.add(quick.session, "quick", "why not", CONTROLLERS)
 
 
-def test_a_file_that_the_table_does_not_know_is_not_overwritten_either(folder, quick):
+def test_a_file_outside_the_table_is_not_overwritten(folder, quick):
     (folder.path / "stray.mcap").write_bytes(b"mine")
     with pytest.raises(ConfigError, match="never overwritten"):
         folder.add(quick.session, "stray", "why not", CONTROLLERS)
@@ -180,14 +180,14 @@ def test_a_session_that_does_not_replay_is_refused(folder, quick):
         folder.add(quick.session, "other", "why not", CHANGED)
 
 
-def test_a_golden_session_that_is_not_the_one_in_the_table_cannot_be_tested(folder, tiny):
+def test_a_golden_session_that_differs_from_the_table_is_refused(folder, tiny):
     (folder.path / "quick.mcap").write_bytes(tiny.path.read_bytes())
     (verdict,) = folder.test([], CONTROLLERS)
     assert verdict.replay is None
     assert "is not the file that golden.toml knows" in verdict.problem
 
 
-def test_a_golden_session_that_is_gone_cannot_be_tested(folder):
+def test_a_missing_golden_session_is_refused(folder):
     (folder.path / "quick.mcap").unlink()
     (verdict,) = folder.test([], CONTROLLERS)
     assert "cannot be read" in verdict.problem

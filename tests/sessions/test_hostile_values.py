@@ -53,7 +53,7 @@ def orders(text):
 
 @pytest.mark.parametrize("variant", VARIANTS)
 @pytest.mark.parametrize("name", READING)
-def test_no_verb_hands_a_strangers_text_to_the_terminal_as_it_is(verb, hostile, quick, tmp_path, variant, name):
+def test_every_verb_escapes_foreign_text_for_the_terminal(verb, hostile, quick, tmp_path, variant, name):
     file = hostile(**VARIANTS[variant])
     words = {
         "what-if": [file, "--set", "controller.gains.Mk=2.5"],
@@ -68,14 +68,14 @@ def test_no_verb_hands_a_strangers_text_to_the_terminal_as_it_is(verb, hostile, 
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_nor_does_recover_of_a_damaged_one(verb, hostile, tmp_path, variant):
+def test_recover_escapes_foreign_text_of_a_damaged_session(verb, hostile, tmp_path, variant):
     file = hostile(**VARIANTS[variant])
     file.write_bytes(file.read_bytes()[:-100])
     done = verb("recover", file, "--out", tmp_path / "again.mcap")
     assert orders(done.out + done.err) == set()
 
 
-def test_a_file_out_of_a_session_is_exact_in_a_pipe_and_harmless_on_a_terminal(verb, hostile, monkeypatch):
+def test_an_extracted_file_is_exact_in_a_pipe_and_escaped_on_a_terminal(verb, hostile, monkeypatch):
     file = hostile()
     assert verb("extract", file, f"a{NASTY}").out == NASTY
     monkeypatch.setattr("inteco_abs.cli.extract.on_terminal", lambda _stream: True)

@@ -232,7 +232,7 @@ def test_a_step_supplies_a_column_that_older_sessions_have_not(later, steps, tin
     assert session.payload == tiny.session.payload
 
 
-def test_a_step_makes_a_column_of_others(later, steps, tiny):
+def test_a_migration_computes_a_column_from_others(later, steps, tiny):
     brake_percent = Column("brake_percent", DOUBLE, "%", "brake duty")
     steps(
         Migration(

@@ -167,7 +167,7 @@ def test_every_bit_of_every_record_head_in_the_data(reading, container, tiny):
 
 
 @pytest.mark.untraced
-def test_the_index_behind_the_data_holds_nothing_that_is_believed(reading, container, tiny):
+def test_the_index_after_the_data_is_not_trusted(reading, container, tiny):
     variants = reading(tiny)
     (end,) = (record.end for record in container.split(variants.data) if record.opcode == DATA_END)
     for offset in range(end, len(variants.data) - len(container.magic), 7):

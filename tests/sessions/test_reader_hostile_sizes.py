@@ -121,7 +121,7 @@ def test_a_record_that_claims_to_leave_the_file_is_where_the_file_ends(container
 
 
 @pytest.mark.parametrize("length", LENGTHS)
-def test_an_attachment_longer_than_its_record(container, refuse, length):
+def test_an_attachment_beyond_its_record_is_damage(container, refuse, length):
     content = bytes(16) + container.text("config.toml") + container.text("application/toml") + struct.pack("<Q", length)
     refuse(container.craft(container.record(ATTACHMENT, content + b"profile = 1" + bytes(4))))
 
@@ -140,7 +140,7 @@ def test_an_attachment_longer_than_its_record(container, refuse, length):
     ],
     ids=["name", "map", "key", "schema", "topic", "encoding", "attachment"],
 )
-def test_a_text_or_map_longer_than_its_record(container, refuse, opcode, before, length):
+def test_a_text_or_map_beyond_its_record_is_damage(container, refuse, opcode, before, length):
     content = before + struct.pack("<I", length) + b"abcd"
     assert "is damaged" in refuse(container.craft(container.record(opcode, content)))
 
@@ -206,7 +206,7 @@ class TestManySmallParts:
         assert "60 ticks recovered" in saved.out or "texts than a session of this size can" in saved.err
 
     @pytest.mark.parametrize("kind", KINDS[:2])
-    def test_what_a_long_troubled_run_may_have_is_read(self, swollen, parts, kind):
+    def test_a_long_run_with_many_faults_is_read(self, swollen, parts, kind):
         session = read_session(swollen(parts[kind], 40_000))
         assert len(session.ticks) == 60
         assert max(len(session.log), len(session.parameters)) > 40_000

@@ -326,7 +326,7 @@ def test_without_its_configuration_a_session_has_no_metrics_but_its_ticks(rescue
     assert (recovery.card["controller"], recovery.card["stop_time_s"]) == (None, None)
 
 
-def test_the_end_that_is_missing_is_named_where_the_file_says_how_much_there_was(rescue, container, pieces):
+def test_a_missing_end_is_named_when_the_file_gives_its_length(rescue, container, pieces):
     records, chunks = pieces
     del records[chunks[-2]]  # the last one has the result
     assert rescue(joined(container, records))[0].missing == ((50, 59),)

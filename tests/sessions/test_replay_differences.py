@@ -85,7 +85,7 @@ def test_minus_zero_is_not_zero(quick, retouched, replayed):
     assert finding(found) == (1, FirstDifference(5, "drive", "-0.0", "0.0", "-0x0.0p+0", "0x0.0p+0"), {"drive": 1})
 
 
-def test_nan_is_nan(quick, retouched, replayed):
+def test_two_nans_are_equal(quick, retouched, replayed):
     """Most ticks have no reference slip; where something else differs they must not be counted."""
     session = quick.session
     assert int(np.isnan(session.ticks["slip_reference"]).sum()) > 500
@@ -257,7 +257,7 @@ def test_gains_that_the_session_has_recorded_otherwise_are_reported(quick):
     assert changed == {"Mq": change}
 
 
-def test_a_gain_that_the_controller_has_no_more_is_reported(quick):
+def test_a_gain_that_the_controller_no_longer_has_is_reported(quick):
     change = changed_gains(quick.session, {name: value for name, value in IN_FORCE.items() if name != "lag_s"})["lag_s"]
     assert (change["recorded"], change["configured"]) == ("0.0", None)
 

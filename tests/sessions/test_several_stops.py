@@ -126,7 +126,7 @@ def made_up(*speeds):
         ((30.0, 120.0, 100.0, 40.0), 70.0, 4),
     ],
 )
-def test_the_median_of_an_even_number_is_between_the_two_in_the_middle(quick, speeds, start, stops):
+def test_the_median_of_an_even_count_is_the_mean_of_the_middle_two(quick, speeds, start, stops):
     card = result_card(quick.config, *made_up(*speeds))
     assert (card["start_speed_rad_s"], card["stops"]) == (start, stops)
 

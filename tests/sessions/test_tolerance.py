@@ -75,7 +75,7 @@ def test_a_text_gives_the_four_numbers_and_empty_ones_are_zero():
     assert parse_tolerances(["phase=::0.002"]) == {"phase": Tolerance(lead_s=0.002)}
 
 
-def test_a_star_is_every_output_and_a_later_text_wins():
+def test_a_star_matches_every_output_and_the_last_pattern_wins():
     found = parse_tolerances(["*=1e-9", "brake=0.5"])
     assert found["slip"] == found["phase"] == Tolerance(1e-9)
     assert found["brake"] == Tolerance(0.5)
@@ -139,7 +139,7 @@ def test_a_phase_within_lead_and_lag_differs_in_nothing_but_is_still_reported(qu
     assert replayed(changed, tolerances=parse_tolerances(["phase=:::0.001"])).differing == 2
 
 
-def test_a_flag_that_only_one_of_them_shows_is_reported(quick, retouched, replayed):
+def test_a_flag_that_only_one_side_shows_is_reported(quick, retouched, replayed):
     found = replayed(retouched(quick.session, 200, estimate_valid=False))
     assert found.shifts == (
         Shift("estimate_valid", "false", 200, None, None),
@@ -147,7 +147,7 @@ def test_a_flag_that_only_one_of_them_shows_is_reported(quick, retouched, replay
     )
 
 
-def test_a_number_within_its_tolerance_is_counted_apart(quick, retouched, replayed):
+def test_numbers_within_tolerance_are_counted_separately(quick, retouched, replayed):
     session = quick.session
     row = int(np.flatnonzero(session.ticks["phase"] == Phase.BRAKING)[200])
     brake = session.ticks["brake"][row].item()

@@ -168,7 +168,7 @@ class TestReplayBehindAGap:
         done = verb("replay", tmp_path / "gap.mcap")
         assert "30 ticks after a gap cannot be replayed" in done.err
 
-    def test_without_the_first_ticks_nothing_is(self, verb, short, container, tmp_path):
+    def test_a_session_without_its_first_ticks_is_not_replayed(self, verb, short, container, tmp_path):
         records = container.split(short.read_bytes())
         chunks = [at for at, record in enumerate(records) if record.opcode == 6]
         del records[chunks[1]]

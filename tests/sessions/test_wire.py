@@ -74,7 +74,7 @@ def test_tag_of_a_32_bit_field(number, bits):
     assert fields_of(wire.tag(number, 5) + struct.pack("<I", bits)) == [(number, 5, bits)]
 
 
-def test_fields_one_after_the_other_stay_apart():
+def test_adjacent_fields_do_not_overlap():
     data = wire.integer(3, 300) + wire.chunk(2, "ä") + wire.double(1, 1.5) + wire.chunk(4, b"")
     (bits,) = struct.unpack("<Q", struct.pack("<d", 1.5))
     assert fields_of(data) == [(3, 0, 300), (2, 2, "ä".encode()), (1, 1, bits), (4, 2, b"")]

@@ -29,7 +29,7 @@ def test_every_controller_is_listed_with_a_line_and_its_gains(inteco_abs):
         assert [gain["name"] for gain in one["gains"]] == [gain.name for gain in CLASSES[name].gains]
 
 
-def test_every_profile_is_listed_with_what_stands_between_it_and_outputs(inteco_abs):
+def test_every_profile_is_listed_with_the_reasons_it_is_read_only(inteco_abs):
     text = inteco_abs("profiles", check=0).stdout
     found = json.loads(inteco_abs("profiles", "--json", check=0).stdout)["profiles"]
     assert list(found) == profiles()
@@ -113,7 +113,7 @@ def test_a_users_file_is_described_without_running_it(inteco_abs, tmp_path):
 
 
 @pytest.mark.parametrize(("verb", "name", "near"), [("controllers", "pid", "pi"), ("estimators", "kalmann", "kalman")])
-def test_one_that_does_not_exist_is_named_with_the_nearest(inteco_abs, verb, name, near):
+def test_an_unknown_name_suggests_the_nearest(inteco_abs, verb, name, near):
     assert f"did you mean {near}?" in inteco_abs(verb, name, check=2).stderr
 
 

@@ -319,7 +319,7 @@ def test_a_loop_that_cannot_be_killed_is_reported_at_once_by_a_process_that_is_l
 
 
 @pytest.mark.long  # tests/emulation/test_link_errors.py and the fault campaign have it by other links
-def test_a_board_that_is_gone_is_said_loudly(live):
+def test_a_lost_board_is_reported_prominently(live):
     run = live()
     run.until_tick(TURNING)
     run.kill("board")
@@ -352,7 +352,7 @@ def go_through(command_path, tmp_path, untraced, victims, numbers):
     return found
 
 
-def test_without_recorder_and_supervisor_every_tick_is_recovered_from_memory(command_path, tmp_path, untraced):
+def test_every_tick_is_recovered_from_memory_after_both_processes_die(command_path, tmp_path, untraced):
     at_once = 7  # before the one notices that the other is gone
     for attempt in range(STARTS):  # a busy computer may not begin
         place = tmp_path / f"attempt {attempt}"
@@ -374,7 +374,7 @@ def test_every_tick_is_kept_whenever_processes_die(command_path, tmp_path, untra
 
 
 @pytest.mark.long
-def test_the_next_run_reports_what_a_crash_has_left(live, tmp_path):
+def test_the_next_run_reports_a_crashed_runs_remains(live, tmp_path):
     run = live()
     run.until_tick(TURNING)
     for role in ("supervisor", "guardian", "recorder", "loop", "board"):

@@ -38,7 +38,7 @@ def test_the_doctor_gives_every_finding_as_text(main_here):
 
 
 @pytest.mark.parametrize("option", ["rules", "limits"])
-def test_the_files_to_install_come_alone_ready_for_tee(main_here, option):
+def test_files_to_install_are_printed_alone_for_tee(main_here, option):
     alone = main_here("doctor", f"--{option}", check=0)
     assert alone.stderr == ""
     assert alone.stdout == json.loads(main_here(*QUICK, "--json").stdout)[option]

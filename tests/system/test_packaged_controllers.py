@@ -242,7 +242,7 @@ def test_a_package_found_twice_is_not_a_collision(here, tmp_path, monkeypatch):
         (LAW.replace('"1", "duty', '1, "duty'), "'duty': unit and meaning must be text"),
     ],
 )
-def test_a_broken_one_is_refused_with_its_reason(here, source, words):
+def test_a_broken_controller_is_refused_with_its_reason(here, source, words):
     here.install(threshold_law=source + "\n")
     problem = problem_of("threshold")
     assert problem.startswith("threshold of the package abs-threshold 1.2: ")
@@ -318,6 +318,6 @@ def test_a_packages_estimator_is_listed_and_its_run_replays_only_with_it(inteco_
     assert "no estimator 'same'" in inteco_abs("replay", "same.mcap", check=1).stderr
 
 
-def test_a_packages_estimator_of_a_wrong_type_is_refused_before_anything_starts(inteco_abs, estimators):
+def test_a_plugin_estimator_of_a_wrong_type_is_refused_at_start(inteco_abs, estimators):
     run = inteco_abs("run", "--virtual", "--set", "estimator.name=none", check=2, environment=estimators)
     assert "none of the package my-estimators 1.2: my_estimators:Broken is not an inteco_abs.control.E" in run.stderr

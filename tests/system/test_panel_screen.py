@@ -225,7 +225,7 @@ def test_r_and_then_y_end_it_to_begin_again(stage):
 
 
 @pytest.mark.parametrize("key", ["space", "enter", "r", "escape", "q"])
-def test_any_other_answer_leaves_it_as_it_is(stage, key):
+def test_any_other_answer_changes_nothing(stage, key):
     scene = stage()
     scene.tick(reason=Reason.OVER_SPEED)
     shown = []

@@ -64,7 +64,7 @@ def test_the_c_locale_gets_ascii(monkeypatch, variables, wanted):
 
 
 @pytest.mark.parametrize("act", ["passed", "show", "note", "warn"])
-def test_trouble_of_a_screen_is_not_the_runs(act):
+def test_a_failing_screen_does_not_fail_the_run(act):
     calls = []
 
     class Broken(NoScreen):

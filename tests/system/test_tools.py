@@ -76,7 +76,7 @@ def test_a_stop_more_adds_its_rows_to_the_ring_and_next_to_nothing_else(untraced
         (["1", "--run"], ["lateness, reaching-law in its own process", "work when braking, in its own process"]),
     ],
 )
-def test_bench_isolation_prints_what_asking_another_process_costs(untraced, arguments, rows):
+def test_bench_isolation_prints_the_cost_of_a_process_round_trip(untraced, arguments, rows):
     printed = run("bench_isolation", *arguments, environment=untraced)
     for row in rows:
         median, *_, worst = map(float, re.search(rf"{row} +((?:[\d.]+ *){{4}})", printed).group(1).split())
@@ -127,7 +127,7 @@ def test_bench_deaths_finds_no_tick_lost(untraced):
 
 @pytest.mark.long
 @pytest.mark.xdist_group("compiled")
-def test_bench_sweep_finds_the_same_bits_whatever_is_killed(untraced):
+def test_bench_sweep_finds_the_same_bits_after_any_kill(untraced):
     printed = run("bench_sweep", "400", "--every", "3", "--controller", "reaching-law", environment=untraced)
     assert printed.splitlines()[-1] == "the same to the last bit"
 

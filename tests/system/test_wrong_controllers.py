@@ -105,7 +105,7 @@ def test_an_alarm_while_the_limit_ends_does_not_remain_after_it(monkeypatch):
         assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
 
 
-def test_an_alarm_that_the_limits_end_could_not_switch_off_is_harmless(monkeypatch):
+def test_an_alarm_left_on_after_the_time_limit_is_harmless(monkeypatch):
     monkeypatch.setattr("inteco_abs.experiment.user_code.LOADING_MOST_S", 0.01)
 
     def interrupted():

@@ -121,7 +121,7 @@ class TestBefore:
         lines = lines_of(shown.after(lambda board: [board.passed(*check) for check in checks]))
         return lines[max(at for at, line in enumerate(lines) if "reaching-law" in line) :]
 
-    def test_what_was_passed_is_ticked_off_and_says_how(self):
+    def test_passed_steps_are_marked_with_their_evidence(self):
         lines = self.picture((StartCheck.BOARD, "sim:"), (StartCheck.GUARDIAN, "SAFE 12.3 ms after the kill"))
         assert "✓" in line_with(lines, "board opened and identified", "sim:")
         assert "✓" in line_with(lines, "guardian drilled", "SAFE 12.3 ms after the kill")
@@ -202,7 +202,7 @@ class TestDuring:
     def test_lateness_is_shown_as_quantiles(self):
         line_with(Shown().picture(BRAKED), "late p50 12, p99 98, p99.9 301, max 434 us; 0 periods missed")
 
-    def test_what_is_not_known_yet_is_a_dash(self):
+    def test_unknown_values_are_shown_as_a_dash(self):
         early = BRAKED._replace(late_us=(None, None, None, 0.0))
         line_with(Shown().picture(early), "late p50 -, p99 -, p99.9 -, max 0 us")
 
@@ -244,7 +244,7 @@ class TestEverySize:
     def test_whoever_wants_a_line_gets_one(self):
         assert len(Shown((120, 36), line=True).picture(BRAKED)) == 1
 
-    def test_a_terminal_that_changes_its_size_gets_another_picture_on_an_empty_screen(self):
+    def test_a_resized_terminal_is_cleared_and_redrawn(self):
         shown = Shown((80, 24))
 
         def resize(board):
@@ -289,7 +289,7 @@ class TestLine:
         (line,) = self.text(snapshot, width).splitlines()
         assert len(line) <= width
 
-    def test_what_does_not_fit_is_marked_as_cut(self):
+    def test_text_that_does_not_fit_is_marked_as_cut(self):
         assert self.text(USUAL, 20).endswith("…\n")
 
     def test_overruns_are_red_if_there_are_any(self):

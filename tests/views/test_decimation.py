@@ -64,7 +64,7 @@ def test_a_falling_signal_falls_and_a_rising_one_rises():
     assert (np.diff(thinned(-rising).columns["x"]) < 0.0).all()
 
 
-def test_nan_hides_no_number_and_stays_where_there_is_none():
+def test_nan_stays_only_where_there_is_no_number():
     column = np.full(1000, np.nan)
     column[123] = 7.0
     few = thinned(column).columns["x"]

@@ -90,7 +90,7 @@ def test_a_folder_with_the_name_of_a_figure_is_an_error(session, tmp_path):
         draw_stops([session], path)
 
 
-def test_without_matplotlib_it_is_said_what_to_install(monkeypatch, tmp_path):
+def test_without_matplotlib_the_error_says_what_to_install(monkeypatch, tmp_path):
     monkeypatch.setattr("importlib.util.find_spec", lambda _name: None)
     with pytest.raises(AbsError, match=r"pip install 'inteco-abs\[figures\]'"):
         check_figure(tmp_path / "stop.png")

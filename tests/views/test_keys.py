@@ -72,7 +72,7 @@ def test_what_was_typed_before_does_not_stop(program):
 
 
 @pytest.mark.parametrize("body", [WAIT, "raise KeyboardInterrupt", "raise SystemExit(3)", "1 / 0"])
-def test_the_terminal_is_as_it_was(program, body):
+def test_the_terminal_is_restored(program, body):
     run = program(body)
     run.until("keys")
     if body is WAIT:

@@ -78,7 +78,7 @@ def test_a_solid_curve_is_in_every_column_and_a_dashed_one_in_about_half_of_them
     assert dots([curve(flat)]).sum() > 2 * dots([curve(flat, dashed=True)]).sum()
 
 
-def test_where_two_curves_meet_the_first_gives_the_colour_and_both_their_dots():
+def test_where_two_curves_meet_the_first_sets_the_colour():
     first, second = curve(np.full(401, 100.0)), curve(np.full(401, 100.0), style="magenta", mark="o", dashed=True)
     styles = {style for line in plot([first, second], AXES, WIDTH, ROWS, plain=False)[:-1] for _, style in line[1:]}
     assert styles == {"cyan", ""}
@@ -115,7 +115,7 @@ def test_a_plain_one_is_ascii():
     rows=st.integers(2, 20),
     span=st.sampled_from([0.1, 0.5, 1.0, 20.0]),
 )
-def test_every_line_is_as_wide_as_asked_for(plain, values, width, rows, span):
+def test_every_line_has_the_requested_width(plain, values, width, rows, span):
     times = np.linspace(0.0, 1.0, len(values))
     lines = plot(
         [curve(values, times), curve(values, times, dashed=True)], PlotAxes(span, 1.0), width, rows, plain=plain
