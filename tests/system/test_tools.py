@@ -7,6 +7,7 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from inteco_abs.control import ESTIMATORS
@@ -160,6 +161,27 @@ def test_tune_estimators_prints_every_estimator_with_its_default_starred(untrace
         bias, std, fast, slow, loop = map(float, row[44:].split())
         assert abs(bias) < 6.0
         assert min(std, fast, slow, loop) > 0.0
+
+
+def test_the_bound_is_known_where_it_has_a_formula():
+    tool = runpy.run_path(str(TOOLS / "tune_estimators"))
+    # a jitter of many lines hides them: what is left is its variance and that of rounding
+    assert tool["count_variance"](2.0) == pytest.approx(4.0 + 1.0 / 12.0, rel=1e-5)
+    times, variance, known = np.arange(50.0), 0.2, np.array([9.0, 0.04])
+    slopes = np.zeros((50, 3, 2))  # one encoder counts a line's start and slope, which is what is wanted
+    slopes[:, 0], slopes[:, 2, 1] = np.stack([np.ones(50), times], axis=1), 1.0
+    found = tool["bounds"](np.diag(known), slopes, variance)
+    for until in (1, 2, 50):
+        seen = times[:until]
+        normal = np.array([[until, seen.sum()], [seen.sum(), (seen * seen).sum()]]) / variance + np.diag(1.0 / known)
+        assert found[until - 1] == pytest.approx(np.linalg.inv(normal)[1, 1])
+
+
+@pytest.mark.long
+def test_no_estimator_beats_the_bound(untraced):
+    rows = run("tune_estimators", "bound", "1", environment=untraced).splitlines()[1:]
+    assert [row.split()[0] for row in rows] == list(ESTIMATORS)
+    assert all(float(row.split()[3]) > 1.0 for row in rows)
 
 
 @pytest.mark.long
