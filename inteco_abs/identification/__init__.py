@@ -4,6 +4,7 @@ The module `parameters` explains what counts can identify.
 """
 
 from inteco_abs.identification.estimates import SLIPS, Identification, ParameterEstimate, identify
+from inteco_abs.identification.next_runs import next_runs
 from inteco_abs.identification.parameters import ASSUMED, torque_name
 from inteco_abs.identification.plan import PlannedRun, experiments
 from inteco_abs.identification.segments import Segment, chosen, segment, segments
@@ -18,6 +19,7 @@ __all__ = [
     "chosen",
     "experiments",
     "identify",
+    "next_runs",
     "segment",
     "segments",
     "torque_name",

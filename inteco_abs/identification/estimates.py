@@ -199,7 +199,7 @@ def _estimates(found: Fit, kinds: set[SegmentKind]) -> Iterator[ParameterEstimat
     priors, assumed = found.priors, {"J1", "J2", "Mg", "d1", "M10"}
     for derived in _all_derived(priors):
         slope = _slope(derived, found)
-        off, sd = _half_width(slope, found), math.sqrt(slope @ found.total @ slope)
+        off, sd = half_width(slope, found), math.sqrt(slope @ found.total @ slope)
         before = math.sqrt(slope @ found.before @ slope)
         value = derived.of(found.values())
         kind, what = _NEEDED.get(derived.name, ("braking", "brake steps that reach it"))
@@ -212,7 +212,7 @@ def _estimates(found: Fit, kinds: set[SegmentKind]) -> Iterator[ParameterEstimat
         )
 
 
-def _half_width(slope: Any, found: Fit) -> float:
+def half_width(slope: Any, found: Fit) -> float:
     """Half of the interval: an error of the fit, which is normal, and those of what is assumed, evenly distributed."""
     fixed = found.moved.shape[1]
     shares = slope @ found.moved @ np.linalg.inv(found.priors.weights[:fixed, :fixed])
@@ -220,6 +220,11 @@ def _half_width(slope: Any, found: Fit) -> float:
     assumed = shares @ rng.uniform(-math.sqrt(3.0), math.sqrt(3.0), (fixed, _SAMPLES))
     own = math.sqrt(slope @ found.covariance @ slope) * rng.standard_normal(_SAMPLES)
     return float(np.quantile(np.abs(assumed + own), _SHARE))
+
+
+def derived_slopes(found: Fit) -> dict[tuple[str, str], Any]:
+    """Slopes of all quantities that follow from the parameters, by name and unit."""
+    return {(derived.name, derived.unit): _slope(derived, found) for derived in _all_derived(found.priors)}
 
 
 def _slope(derived: _Derived, found: Fit) -> Any:

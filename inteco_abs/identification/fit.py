@@ -90,6 +90,8 @@ class Fit:
     found: Floats
     covariance: Floats
     """Without the uncertainty of what is assumed."""
+    information: Floats
+    """J'*J with the slopes of the counts and of the priors, start speeds unknown, 1/counts2."""
     moved: Floats
     """Change of each parameter by one unit of each assumed one."""
     before: Floats
@@ -150,12 +152,30 @@ def fit(segments: Sequence[Segment], priors: Priors, progress: Progress | None =
         priors,
         found[:count],
         covariance[:count, :count],
+        _without(information, count),
         moved[:count],
         before,
         residuals,
         tuple((channel, error) for channel, error in discs if error is not None),
         converged,
     )
+
+
+def information(segment: Segment, priors: Priors, found: Floats) -> Floats:
+    """Information of a segment's counts about the parameters at `found`, its start speeds unknown, 1/counts2."""
+    problem, count = _Problem([segment], priors), len(found)
+    problem.noise = 1.0
+    x = np.concatenate([found, problem.start[count:]])
+    jacobian = problem.jacobian(x, np.ones(len(x), bool))
+    jacobian[-len(x) : count - len(x)] = 0.0  # the priors are no information of the counts
+    return _without(jacobian.T @ jacobian, count)
+
+
+def _without(information: Floats, count: int) -> Floats:
+    """The information about the first `count` parameters if the others are unknown."""
+    ours, theirs = information[:count, count:], information[count:, count:]
+    left: Floats = information[:count, :count] - ours @ np.linalg.solve(theirs, ours.T)
+    return left
 
 
 def _searched(

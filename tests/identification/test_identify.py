@@ -1,6 +1,7 @@
 """A drawn rig is recorded as by the plan, from a lower speed, and identified."""
 
 import json
+import re
 import tomllib
 from functools import partial
 from pathlib import Path
@@ -12,8 +13,10 @@ from inteco_abs.cli.command import cli
 from inteco_abs.config import load_config
 from inteco_abs.errors import ConfigError
 from inteco_abs.experiment import Plan, run_stop
-from inteco_abs.identification import experiments
-from inteco_abs.rig import draw, nominal_brake_map, nominal_parameters, settled_torque
+from inteco_abs.identification import chosen, experiments, next_runs, segments
+from inteco_abs.identification import identify as fitted
+from inteco_abs.rig import RigParameters, draw, nominal_brake_map, nominal_parameters, settled_torque
+from inteco_abs.sessions import read_session
 
 RIG = draw("hard", 3)
 """Its discs are off centre by half a count, and not bent."""
@@ -40,16 +43,23 @@ def identify(*arguments):
     return cli.main(["identify", *map(str, arguments)], standalone_mode=False)
 
 
+def parts_of(files):
+    return chosen(part for file in files for part in segments(read_session(file), 2048))
+
+
 @pytest.fixture(scope="module")
-def identified(sessions):
-    """Exit code, estimates by name, and the parameter file."""
+def found(sessions):
+    return fitted(parts_of(sessions.values()), RigParameters.named("mask"))
+
+
+@pytest.fixture(scope="module")
+def identified(sessions, found):
+    """Estimates by name, and the parameter file."""
     out = next(iter(sessions.values())).with_name("rig.toml")
-    with pytest.MonkeyPatch.context() as patch:
-        printed = []
-        patch.setattr("inteco_abs.cli.identify.print_json", printed.append)
-        code = identify(*sessions.values(), "-o", out, "--json")
-    assert printed[0]["converged"]
-    return code, {each["name"]: each for each in printed[0]["estimates"]}, out
+    out.write_text(found.to_toml())
+    report = found.report()
+    assert report["converged"]
+    return {each["name"]: each for each in report["estimates"]}, out
 
 
 def true_values():
@@ -78,7 +88,7 @@ def true_values():
 
 @pytest.mark.parametrize("name", true_values())
 def test_the_interval_holds_the_true_number(identified, name):
-    estimate, slack = identified[1][name], 1.5  # 95 % is not always
+    estimate, slack = identified[0][name], 1.5  # 95 % is not always
     half = 0.5 * (estimate["high"] - estimate["low"])
     assert true_values()[name] == pytest.approx(estimate["value"], abs=slack * half)
 
@@ -87,20 +97,20 @@ def test_the_interval_holds_the_true_number(identified, name):
     ("name", "share"), [("d/J", 0.01), ("M0/J", 0.005), ("d", 0.1), ("M1(0.6)", 0.1), ("road_eccentricity", 0.4)]
 )
 def test_the_interval_is_narrow_for_what_counts_determine(identified, name, share):
-    estimate = identified[1][name]
+    estimate = identified[0][name]
     assert estimate["status"] == "identified"
     assert estimate["high"] - estimate["low"] < share * estimate["value"]
 
 
 def test_what_is_assumed_stays_as_it_is_believed_and_is_called_so(identified):
-    assumed = {name for name, each in identified[1].items() if each["status"] == "assumed"}
+    assumed = {name for name, each in identified[0].items() if each["status"] == "assumed"}
     assert assumed == {"J1", "J2", "Mg", "d1", "M10"}
-    assert identified[1]["J1"]["value"] == pytest.approx(identified[1]["J1"]["published"])
+    assert identified[0]["J1"]["value"] == pytest.approx(identified[0]["J1"]["published"])
 
 
 def test_the_parameter_file_is_a_configuration_for_all_that_uses_a_model(identified):
-    model = load_config(identified[2]).model
-    estimates = identified[1]
+    model = load_config(identified[1]).model
+    estimates = identified[0]
     parameters = nominal_parameters(model)
     assert parameters.r1 / parameters.r2 == pytest.approx(estimates["r1/r2"]["value"])
     assert parameters.d2 == pytest.approx(estimates["d2"]["value"])
@@ -141,7 +151,7 @@ def test_the_figure_shows_what_is_left(sessions, tmp_path):
     ("arguments", "message"),
     [
         ((), "name at least one session"),
-        (("--plan", "a.mcap"), "records sessions and reads none"),
+        (("--dry-run", "a.mcap"), "only with --plan"),
         (("a.mcap", "--assume", "J3=5%"), "not an assumed parameter; known: J1"),
         (("a.mcap", "--assume", "J1=0.05"), "must look like J1=5%"),
         (("a.mcap", "-o", "a.txt"), "must end in .toml"),
@@ -162,6 +172,37 @@ def test_the_plan_is_recorded_run_by_run_and_ends_with_the_first_that_is_stopped
     assert identify("--plan", "--virtual", *late, "-o", tmp_path) == 5
     assert [file.name for file in tmp_path.iterdir()] == ["coast.mcap"]
     assert "coast: fault: the start speed was not reached in time" in capsys.readouterr().err
+
+
+def half_widths(found):
+    return {each.name: 0.5 * (each.high - each.low) for each in found.estimates}
+
+
+def test_the_next_runs_begin_with_what_the_sessions_do_not_show(found):
+    first, *others = next_runs(found, 0.8, 60.0)
+    assert first.name == "stair-4"
+    assert "M1(0.45) from ±" in first.shows
+    assert any("brake_release_delay from ±" in each.shows for each in others)
+    assert [each.name.rpartition("-")[2] for each in others] == ["5", "6"]
+    assert all(0.0 <= each.first <= 0.8 for each in (first, *others))
+
+
+@pytest.mark.long
+def test_the_next_run_brings_what_it_promises(sessions, found, tmp_path):
+    run = next(each for each in next_runs(found, 1.0, 60.0) if "release_delay" in each.shows)
+    slower = ("experiment.start_speed_rad_s=60", "simulation.rig=hard:3", *run.settings)
+    untraced(run_stop, load_config(settings=slower), Plan(tmp_path / "next.mcap"))
+    again = fitted(parts_of([*sessions.values(), tmp_path / "next.mcap"]), RigParameters.named("mask"))
+    promised = float(re.search(r"brake_release_delay from ±[\d.e-]+ to ±([\d.e-]+) s", run.shows)[1])
+    assert half_widths(again)["brake_release_delay"] == pytest.approx(promised, rel=0.5)
+    assert promised < 0.5 * half_widths(found)["brake_release_delay"]
+
+
+@pytest.mark.long
+def test_the_plan_after_sessions_is_what_is_left_to_record(sessions, tmp_path, capsys):
+    dry = ("--plan", "--virtual", "--dry-run", "--set", "experiment.start_speed_rad_s=60", "-o", tmp_path)
+    assert identify(*sessions.values(), *dry) == 0
+    assert "stair-4.mcap" in capsys.readouterr().out
 
 
 @pytest.mark.long
