@@ -24,10 +24,11 @@ _NOISES: Final = (300.0, 30.0, 5.0, 1.0)
 """Standard deviation of a residual in counts in each round: far from the solution counts weigh less."""
 _NEAR: Final = 0.05
 """Distance to the solution at which the last round ends, in standard deviations of the parameters."""
-_FLAT: Final = 0.5
+_FLAT: Final = 0.2
 """Largest distance at which a search has converged that finds nothing lower: there, rounding hides the slope."""
 _MOST_STEPS: Final = 50
 """Steps of a round. The last one takes 5 to 15."""
+_FIRST_DAMPING: Final = 1e-3
 _HARDEST: Final = 1e10
 """Damping beyond which no step lowers the sum of squares: its rounding errors are reached."""
 _SPEED_SD_RAD_S: Final = 5.0
@@ -193,10 +194,11 @@ def _round(problem: _Problem, found: Floats, progress: Progress | None) -> tuple
 
     Its length is measured in the metric of the parameters' covariance, where it is the distance in standard
     deviations: no parameter, and no combination of some, would change by more. The fall of the sum of squares says
-    less: it is small in a long flat valley, too. A round that is not the last ends at the noise it assumes.
+    less: it is small in a long flat valley, too. A round that is not the last ends at the noise it assumes. Where no
+    step helps, the error of forward differences is as large as the slope, and central ones take over.
     """
     free = problem.free
-    residuals, damping = problem.residuals(found), 1e-3
+    residuals, damping = problem.residuals(found), _FIRST_DAMPING
     for _ in range(_MOST_STEPS):
         if progress is not None:
             progress(problem.noise, math.sqrt(residuals @ residuals / len(residuals)) * problem.noise)
@@ -208,16 +210,18 @@ def _round(problem: _Problem, found: Floats, progress: Progress | None) -> tuple
         distance = slope @ np.linalg.solve(scaled, slope)
         if distance < (_NEAR * _NEAR * variance if problem.noise == _NOISES[-1] else 1.0):
             return found, True
-        while True:
+        while damping <= _HARDEST:
             trial = found.copy()
             trial[free] -= np.linalg.solve(scaled + damping * np.eye(len(size)), slope) / size
             nearer = problem.residuals(trial)
             if nearer @ nearer < residuals @ residuals:
+                found, residuals, damping = trial, nearer, damping / 10.0
                 break
             damping *= 10.0
-            if damping > _HARDEST:
+        else:
+            if problem.central:
                 return found, bool(distance < _FLAT * _FLAT * variance)
-        found, residuals, damping = trial, nearer, damping / 10.0
+            problem.central, damping = True, _FIRST_DAMPING
     return found, False
 
 
@@ -228,6 +232,8 @@ class _Problem:
         self._priors = priors
         self.noise = _NOISES[0]
         """Standard deviation of a residual in counts."""
+        self.central = False
+        """Whether slopes are central differences, for twice the work."""
         self._segments = [(each, channels(each)) for each in segments]
         speeds = [speed for each, _ in self._segments for speed in each.start_speeds()[2 - _SPEEDS[each.kind] :]]
         self._places = {each.name: place for place, each in enumerate(priors.fit_parameters)}
@@ -253,18 +259,20 @@ class _Problem:
                 yield channel, channel.counts - simulated[channel.wheel][0]
 
     def jacobian(self, x: Floats, free: Mask) -> Floats:
-        """Slopes of `residuals` by the free parameters; forward differences, in one batch for each segment."""
+        """Slopes of `residuals` by the free parameters, by differences, in one batch for each segment."""
         blocks = []
         for segment, its_channels, own in self._each():
             names = [*_DEPENDS[segment.kind], *map(torque_name, segment.levels)]
             places = [place for place in (*(self._places[name] for name in names), *own) if free[place]]
-            rows = np.repeat(x[None, :], len(places) + 1, axis=0)
-            rows[np.arange(1, len(rows)), places] += self._steps[places]
-            simulated = self._simulated(segment, rows, own)
+            ahead, each = np.repeat(x[None, :], len(places), axis=0), np.arange(len(places))
+            ahead[each, places] += self._steps[places]
+            behind = 2.0 * x - ahead if self.central else x[None, :]
+            simulated = self._simulated(segment, np.concatenate([ahead, behind]), own)
             for channel in its_channels:
-                counts = simulated[channel.wheel]
-                block = np.zeros((counts.shape[1], len(x)))
-                block[:, places] = channel.free(counts[0] - counts[1:]).T / (self._steps[places] * self.noise)
+                above, below = np.split(simulated[channel.wheel], [len(places)])
+                block = np.zeros((above.shape[1], len(x)))
+                apart = self._steps[places] * (1.0 + self.central)
+                block[:, places] = channel.free(below - above).T / (apart * self.noise)
                 blocks.append(block)
         return np.concatenate([*blocks, self._weights])
 
