@@ -24,21 +24,21 @@ _NO_ESTIMATE: Final = Estimate(0.0, 0.0, 0.0, valid=False)
 class DecisionState:
     """What a pipeline has decided last, as numbers: estimate, the controller's demand, and the admitted command."""
 
-    wheel_speed: float = 0.0
-    road_speed: float = 0.0
-    slip: float = 0.0
-    valid: bool = False
-    demanded: float = 0.0
+    wheel_speed: float
+    road_speed: float
+    slip: float
+    valid: bool
+    demanded: float
     """Duty that the controller demands, as it does the following."""
-    torque_nm: float = 0.0
-    switching: float = 0.0
-    c0: float = 0.0
-    c1: float = 0.0
-    c2: float = 0.0
-    c3: float = 0.0
-    drive: float = 0.0
+    torque_nm: float
+    switching: float
+    c0: float
+    c1: float
+    c2: float
+    c3: float
+    drive: float
     """Duty that the guard admits, as is `brake`."""
-    brake: float = 0.0
+    brake: float
 
 
 class Pipeline:

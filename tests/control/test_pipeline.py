@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 from inteco_abs.config import load_config
-from inteco_abs.control import CONTROLLERS, ESTIMATORS, Pipeline, Setup, build_pipeline, control_check
+from inteco_abs.control import (
+    CONTROLLERS,
+    ESTIMATORS,
+    DecisionState,
+    Pipeline,
+    Setup,
+    advance_and_admit,
+    build_pipeline,
+    control_check,
+)
 from inteco_abs.rig import RigParameters
 from inteco_abs.signals import (
     UNTIMED,
@@ -442,3 +451,24 @@ def test_the_pipeline_uses_the_configured_parts():
     for number in range(400):
         sample = rest(number)._replace(road_count=max(0, number - 210), wheel_count=max(0, number - 210))
         assert exact(built.step(sample)) == exact(by_hand.step(sample))
+
+
+def test_machine_and_guard_as_functions_decide_as_the_pipeline_does(quick_run):
+    """Monte Carlo and compiled replays call them with the controller's newest duty."""
+    pipeline, other = (build_pipeline(load_config(settings=QUICK)) for _ in range(2))
+    machine, guard, compared = other.machine, other.guard, 0
+    for number, was in enumerate(quick_run):
+        sample = inputs(was)._replace(board_flags=BoardFlags.STALE if number % 7 == 3 else BoardFlags.NONE)
+        stop = Reason.OPERATOR_STOP if number == len(quick_run) - 5 else Reason.NONE
+        tick = pipeline.step(sample, stop)
+        demand = tick.brake_request, tick.torque_demand_nm, tick.switching, tick.c0, tick.c1, tick.c2, tick.c3
+        decided = pipeline.decided
+        if tick.phase is Phase.BRAKING and not sample.board_flags:
+            seen = tick.wheel_speed_rad_s, tick.road_speed_rad_s, tick.slip, tick.estimate_valid
+            assert repr(decided) == repr(DecisionState(*seen, *demand, tick.drive, tick.brake))
+            compared += 1
+        advance_and_admit((machine.k, guard.k), (machine, guard), sample, decided.demanded, stop)
+        found = machine.phase, machine.drive_request, machine.brake_request, guard.drive, guard.brake, guard.reason
+        assert found == (tick.phase, tick.drive_request, tick.brake_request, tick.drive, tick.brake, tick.reason)
+    assert compared > 100
+    assert tick.reason is Reason.OPERATOR_STOP
