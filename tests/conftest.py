@@ -1,4 +1,5 @@
 import gc
+import json
 import os
 import shutil
 import signal
@@ -8,6 +9,7 @@ if sys.platform != "win32":
     import fcntl
 
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 from chromium import chromium
@@ -44,6 +46,32 @@ def pytest_sessionfinish(session):
 def cold():
     """Let each test begin as a program does, which has run no tick that counts towards machine code."""
     asked_for.clear()
+
+
+class Verb(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+    @property
+    def json(self):
+        return json.loads(self.out)
+
+
+@pytest.fixture
+def verb(monkeypatch, capsys):
+    """Runs the command in this process: exit code, and what it wrote."""
+    from inteco_abs.cli import main
+
+    def run(*arguments) -> Verb:
+        monkeypatch.setattr(sys, "argv", ["inteco-abs", *map(str, arguments)])
+        with pytest.raises(SystemExit) as end:
+            main()
+        done = Verb(end.value.code or 0, *capsys.readouterr())
+        assert "Traceback" not in done.err
+        return done
+
+    return run
 
 
 def pytest_configure():

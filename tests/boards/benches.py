@@ -135,6 +135,9 @@ class FaultyLink(Link):
         if self.refuse_next == "answer":
             self.refuse_next = None
             self._fail()
+        return self._altered(answer)
+
+    def _altered(self, answer: bytes) -> bytes:
         if self.change_next_answer is not None:
             change, self.change_next_answer = self.change_next_answer, None
             self.failed += 1

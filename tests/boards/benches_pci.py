@@ -6,7 +6,7 @@ from itertools import count, groupby
 from pathlib import Path
 from typing import ClassVar
 
-from benches import BENCHES_OF_A_TEST, FrameBench, HandClock, SteeredDevice, configured
+from benches import BENCHES_OF_A_TEST, FaultyLink, FrameBench, HandClock, SteeredDevice, configured
 from pci_bus import LiveRegisters, add_board
 
 from firmware_protocol.register_messages import decode_answer, decode_request, encode_answer, encode_request
@@ -16,7 +16,6 @@ from inteco_abs.boards import InProcessLink, Link, LinkedRegisters, Registers
 from inteco_abs.boards.families.pci import RtdacPci
 from inteco_abs.boards.families.pci.mock import PciFrontEnd
 from inteco_abs.boards.transports.sysfs import SysfsRegisters
-from inteco_abs.errors import LinkError
 
 INDEXES = (PWM_INDEX.offset, ENCODER_INDEX.offset)
 ALL_ONES = 0xFFFFFFFF
@@ -59,34 +58,26 @@ def is_width(step: Write | int) -> bool:
     return isinstance(step, Write) and step.offset == PWM_WIDTH.offset
 
 
-class RegisterLink(Link):
+class RegisterLink(FaultyLink):
     """As `FaultyLink`, for accesses to registers.
 
     A fault in an answer affects the one with the logic's version: each exchange has one.
     """
 
     def __init__(self, inner: Link) -> None:
-        self.written: list[bytes] = []
-        self.closed = False
-        self.failed = 0
-        self.operations = 0
-        self.unplugged = False
-        self.before_operation: Callable[[int], None] = lambda _number: None
-        self.change_answer: Callable[[bytes], bytes] = bytes
-        self.change_next_answer: Callable[[bytes], bytes] | None = None
+        super().__init__(inner, b"")
         self.change_next_value: tuple[tuple[int, int | None], Callable[[int], int]] | None = None
         self.change_after: tuple[int, int | None] | None = None
         """What must have been asked for before that."""
-        self.refuse_next: Callable[[Write | int], bool] | None = None
-        self._inner = inner
+        self.refuse_step: Callable[[Write | int], bool] | None = None
         self._selected: dict[int, int] = {}
         self._asked: list[tuple[int, int | None]] = []
 
     def write(self, data: bytes | bytearray) -> None:
         self._count()
         _, steps = decode_request(data)
-        if self.refuse_next is not None and any(map(self.refuse_next, steps)):
-            self.refuse_next = None
+        if self.refuse_step is not None and any(map(self.refuse_step, steps)):
+            self.refuse_step = None
             self._fail()
         self.written.append(bytes(data))
         self._asked = []
@@ -101,17 +92,7 @@ class RegisterLink(Link):
     def read(self, length: int) -> bytes:
         self._count()
         answer = self._changed(self._inner.read(length))
-        if (LOGIC.offset, None) not in self._asked:
-            return answer
-        if self.change_next_answer is not None:
-            change, self.change_next_answer = self.change_next_answer, None
-            self.failed += 1
-            answer = change(answer)
-        return self.change_answer(answer)
-
-    def close(self) -> None:
-        self.closed = True
-        self._inner.close()
+        return self._altered(answer) if (LOGIC.offset, None) in self._asked else answer
 
     def _changed(self, answer: bytes) -> bytes:
         which, change = self.change_next_value or (None, int)
@@ -127,16 +108,6 @@ class RegisterLink(Link):
         self.failed += 1
         number, values = decode_answer(answer)
         return encode_answer(number, [*values[:at], change(values[at]), *values[at + 1 :]])
-
-    def _count(self) -> None:
-        number, self.operations = self.operations, self.operations + 1
-        if self.unplugged:
-            self._fail()
-        self.before_operation(number)
-
-    def _fail(self) -> None:
-        self.failed += 1
-        raise LinkError("the cable is unplugged")
 
 
 class PciBench:
@@ -242,7 +213,7 @@ class PciBench:
         self.link.change_next_answer = answers.get(way)
         self.link.change_next_value = values.get(way)
         self.link.change_after = version if "echo" in way else None  # what is read before it was there before
-        self.link.refuse_next = refusals.get(way)
+        self.link.refuse_step = refusals.get(way)
 
 
 class StepwiseRegisters(LinkedRegisters):

@@ -224,7 +224,7 @@ class TestSafe:
         bench = new_pci_bench()
 
         def refuse_the_drive(_number):
-            bench.link.refuse_next = lambda step: step == DRIVE
+            bench.link.refuse_step = lambda step: step == DRIVE
 
         bench.board.__enter__()
         bench.exchange(1.0, 0.6)

@@ -88,11 +88,7 @@ def live(mock, tmp_path):
 
     yield start
     for run in runs:
-        for pid in run.processes():
-            os.kill(pid, signal.SIGKILL)
-        run.process.kill()
-        run.process.communicate()
-        run.memory.remove()
+        run.destroy()
 
 
 def begins(run):

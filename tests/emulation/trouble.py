@@ -9,6 +9,7 @@ import traceback
 from contextlib import contextmanager
 
 import pytest
+from drill import HandClock
 
 from firmware_protocol.rtdac_usb2 import ENDPOINT_IN, ENDPOINT_OUT
 from inteco_abs.boards.families.usb2 import RtdacUsb2
@@ -25,21 +26,6 @@ PATIENT_NS = 1_000_000_000
 """A period so long that the driver waits for each answer as long as its link does."""
 _SET_HALT = 0x02, 3, 0
 """Standard request SET_FEATURE(ENDPOINT_HALT)."""
-
-
-class HandClock:
-    """Time that moves only when a test moves it, or a time-out passes."""
-
-    def __init__(self):
-        self.time_ns = 1_000_000_000
-
-    def now_ns(self):
-        return self.time_ns
-
-    def wait(self, event, timeout_s):
-        if not event.is_set():
-            self.time_ns += round(timeout_s * 1e9)
-        return event.is_set()
 
 
 class ChangingFrontEnd(Usb2FrontEnd):

@@ -1,10 +1,8 @@
 """Recorded stops, their bytes record by record, and the means to change them."""
 
-import json
 import resource
 import signal
 import struct
-import sys
 import zlib
 from collections.abc import Iterable
 from dataclasses import replace
@@ -25,7 +23,6 @@ from tracing import untraced
 import inteco_abs.experiment.run
 import inteco_abs.experiment.virtual_run
 from inteco_abs.analysis import replay_session
-from inteco_abs.cli import main
 from inteco_abs.config import RigConfig, load_config
 from inteco_abs.control import CONTROLLERS, build_pipeline, control_check
 from inteco_abs.experiment import Plan, run_stop
@@ -147,29 +144,6 @@ def before_its_ticks():
         return data[: next(record.at for record in Container.split(data) if record.opcode == CHUNK) + 4]
 
     return cut
-
-
-class Verb(NamedTuple):
-    code: int
-    out: str
-    err: str
-
-    @property
-    def json(self):
-        return json.loads(self.out)
-
-
-@pytest.fixture
-def verb(monkeypatch, capsys):
-    """Runs the command in this process: exit code, and what it wrote."""
-
-    def run(*arguments) -> Verb:
-        monkeypatch.setattr(sys, "argv", ["inteco-abs", *map(str, arguments)])
-        with pytest.raises(SystemExit) as end:
-            main()
-        return Verb(end.value.code or 0, *capsys.readouterr())
-
-    return run
 
 
 class Official(NamedTuple):

@@ -156,25 +156,28 @@ class TestRecover:
 
 
 class TestReplayBehindAGap:
-    def test_what_comes_before_the_gap_is_replayed(self, verb, short, container, tmp_path):
-        records = container.split(short.read_bytes())
-        chunks = [at for at, record in enumerate(records) if record.opcode == 6]
-        del records[chunks[3]]
-        (tmp_path / "damaged.mcap").write_bytes(container.magic + b"".join(map(bytes, records)))
-        verb("recover", tmp_path / "damaged.mcap", "-o", tmp_path / "gap.mcap")
-        done = verb("replay", tmp_path / "gap.mcap", "--json")
+    @pytest.fixture
+    def recovered_without_chunk(self, verb, short, container, tmp_path):
+        def recovered(number):
+            records = container.split(short.read_bytes())
+            del records[[at for at, record in enumerate(records) if record.opcode == 6][number]]
+            (tmp_path / "damaged.mcap").write_bytes(container.magic + b"".join(map(bytes, records)))
+            verb("recover", tmp_path / "damaged.mcap", "-o", tmp_path / "gap.mcap")
+            return tmp_path / "gap.mcap"
+
+        return recovered
+
+    def test_what_comes_before_the_gap_is_replayed(self, verb, recovered_without_chunk):
+        gap = recovered_without_chunk(3)
+        done = verb("replay", gap, "--json")
         assert done.code == 3
         assert (done.json["ticks"], done.json["differing"], done.json["left_out"]) == (20, 0, 30)
-        done = verb("replay", tmp_path / "gap.mcap")
+        done = verb("replay", gap)
         assert "30 ticks after a gap cannot be replayed" in done.err
 
-    def test_a_session_without_its_first_ticks_is_not_replayed(self, verb, short, container, tmp_path):
-        records = container.split(short.read_bytes())
-        chunks = [at for at, record in enumerate(records) if record.opcode == 6]
-        del records[chunks[1]]
-        (tmp_path / "damaged.mcap").write_bytes(container.magic + b"".join(map(bytes, records)))
-        verb("recover", tmp_path / "damaged.mcap", "-o", tmp_path / "gap.mcap")
-        done = verb("replay", tmp_path / "gap.mcap")
+    def test_a_session_without_its_first_ticks_is_not_replayed(self, verb, recovered_without_chunk):
+        gap = recovered_without_chunk(1)
+        done = verb("replay", gap)
         assert done.code == 1
         assert "ticks 0..9 are missing" in done.err
 

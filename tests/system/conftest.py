@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from live import LiveRun
 from wrong_inputs import Answers, Place
 
 from inteco_abs.cli import main
@@ -71,6 +72,19 @@ def real_stop(inteco_abs, untraced, tmp_path):
         return done
 
     return run
+
+
+@pytest.fixture
+def live(command_path, tmp_path, untraced):
+    """Starts runs in real time; what is left of them afterwards is killed and removed."""
+    with ExitStack() as ends:
+
+        def start(*arguments, **options):
+            run = LiveRun(command_path, tmp_path, untraced, *arguments, **options)
+            ends.callback(run.destroy)
+            return run
+
+        yield start
 
 
 @pytest.fixture

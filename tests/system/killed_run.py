@@ -89,11 +89,7 @@ def run_and_kill(command, folder, environment, victims, number):
             kept = whole(run.out) if packed else []
         return judged(KilledRun(seed, stage, packed, recovered=recovered), held, kept, exchanged_ns)
     finally:
-        for pid in run.processes():
-            os.kill(pid, signal.SIGKILL)
-        run.process.kill()
-        run.process.communicate()
-        run.memory.remove()
+        run.destroy()
 
 
 def table(found):

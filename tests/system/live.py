@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import time
+from contextlib import suppress
 from pathlib import Path
 
 from inteco_abs.realtime.memory import FOLDER, Field, RunMemory
@@ -114,6 +115,16 @@ class LiveRun:
 
     def session(self):
         return read_session(self.out)
+
+    def destroy(self):
+        """Kill all that is left of the run, also what is frozen, and remove its memory."""
+        for number in (signal.SIGCONT, signal.SIGKILL):
+            for pid in self.processes():
+                with suppress(ProcessLookupError):  # it may end meanwhile
+                    os.kill(pid, number)
+        self.process.kill()
+        self.process.communicate()
+        self.memory.remove()
 
     def processes(self):
         """Everything that still runs for this run."""

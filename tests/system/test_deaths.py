@@ -16,7 +16,7 @@ import process_faults
 import pytest
 import tracing
 from killed_run import KINDS, RUNS, run_and_kill, table
-from live import STARTS, LiveRun, safe_after_ns
+from live import STARTS, safe_after_ns
 
 from inteco_abs.realtime.memory import Field
 from inteco_abs.signals import Phase, Reason
@@ -31,24 +31,6 @@ STEP = 1 / 255
 FREEZER = Path("/sys/fs/cgroup/freezer")
 TURNING = 400
 """A tick by which the drive is on."""
-
-
-@pytest.fixture
-def live(command_path, tmp_path, untraced):
-    runs = []
-
-    def start(*arguments, **options):
-        runs.append(LiveRun(command_path, tmp_path, untraced, *arguments, **options))
-        return runs[-1]
-
-    yield start
-    for run in runs:
-        for number in (signal.SIGCONT, signal.SIGKILL):
-            for pid in run.processes():
-                os.kill(pid, number)
-        run.process.kill()
-        run.process.communicate()
-        run.memory.remove()
 
 
 def assert_nothing_lost(run, replayed):

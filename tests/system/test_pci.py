@@ -1,8 +1,6 @@
 """The rig on the mock of the RT-DAC4/PCI: as on the other boards, by another wire."""
 
 import json
-import os
-import signal
 
 import pytest
 from live import LiveRun, safe_after_ns
@@ -37,11 +35,7 @@ def test_a_loop_that_is_killed_leaves_safe_behind(command_path, tmp_path, untrac
         assert "the guardian made its board safe in" in message
         assert safe_after_ns(run.session(), killed_ns) < GENEROUS_NS
     finally:
-        for pid in run.processes():
-            os.kill(pid, signal.SIGKILL)
-        run.process.kill()
-        run.process.communicate()
-        run.memory.remove()
+        run.destroy()
 
 
 def test_without_a_board_the_command_names_where_it_searched(inteco_abs, tmp_path):

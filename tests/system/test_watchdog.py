@@ -5,7 +5,7 @@ import signal
 import time
 
 import pytest
-from live import QUICK, LiveRun
+from live import QUICK
 
 from inteco_abs.sessions import TRUTH
 
@@ -27,23 +27,6 @@ HOLD_NS = 50_000_000
 MARGIN_NS = 300_000_000
 """Until the last of four processes is really dead, on a computer under load."""
 TURNING = 400
-
-
-@pytest.fixture
-def live(command_path, tmp_path, untraced):
-    runs = []
-
-    def start(*arguments, **options):
-        runs.append(LiveRun(command_path, tmp_path, untraced, *arguments, **options))
-        return runs[-1]
-
-    yield start
-    for run in runs:
-        for pid in run.processes():
-            os.kill(pid, signal.SIGKILL)
-        run.process.kill()
-        run.process.communicate()
-        run.memory.remove()
 
 
 @pytest.mark.parametrize("number", [pytest.param(signal.SIGKILL, marks=pytest.mark.long), signal.SIGSTOP])

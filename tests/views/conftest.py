@@ -1,13 +1,10 @@
 """Recorded stops to look at."""
 
-import sys
 from dataclasses import replace
-from typing import NamedTuple
 
 import pytest
 from tracing import untraced
 
-from inteco_abs.cli import main
 from inteco_abs.config import load_config
 from inteco_abs.experiment import Plan, run_stop
 from inteco_abs.sessions import read_session
@@ -57,21 +54,8 @@ def with_facts():
     return change
 
 
-class Verb(NamedTuple):
-    code: int
-    out: str
-    err: str
-
-
 @pytest.fixture
-def verb(monkeypatch, capsys, tmp_path):
-    """Runs the command in this process, in an empty folder: exit code, and what it wrote."""
+def verb(verb, monkeypatch, tmp_path):
+    """As everywhere, in an empty folder."""
     monkeypatch.chdir(tmp_path)
-
-    def run(*arguments) -> Verb:
-        monkeypatch.setattr(sys, "argv", ["inteco-abs", *map(str, arguments)])
-        with pytest.raises(SystemExit) as end:
-            main()
-        return Verb(end.value.code or 0, *capsys.readouterr())
-
-    return run
+    return verb
