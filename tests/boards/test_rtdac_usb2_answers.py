@@ -120,3 +120,15 @@ def test_a_header_that_changes_in_a_run_is_a_failed_exchange_until_it_is_back(ne
         assert "header" in str(bench.board.last_error)
         bench.link.change_answer = bytes
         assert bench.exchange(0.4, 0.6).board_flags is BoardFlags.NONE
+
+
+@pytest.mark.parametrize(("rate_hz", "timeout_s"), [(500.0, 0.004), (2000.0, 0.001), (4000.0, 0.001)])
+def test_a_tick_waits_two_periods_for_its_answer_and_at_least_1_ms(new_usb2_bench, rate_hz, timeout_s):
+    bench = new_usb2_bench(f"loop.rate_hz={rate_hz}")
+    with bench.board:
+        patient_s = bench.link.timeout_s
+        bench.exchange(0.4, 0.6)
+        assert bench.link.timeout_s == pytest.approx(timeout_s)
+        bench.board.hurried = False
+        bench.exchange(0.4, 0.6)
+        assert bench.link.timeout_s == patient_s > timeout_s
