@@ -132,3 +132,6 @@ def test_a_tick_waits_two_periods_for_its_answer_and_at_least_1_ms(new_usb2_benc
         bench.board.hurried = False
         bench.exchange(0.4, 0.6)
         assert bench.link.timeout_s == patient_s > timeout_s
+        bench.board.hurried = True
+        bench.exchange(0.4, 0.6)
+    assert bench.link.timeout_s == patient_s, "leaving waits as long as opening"
