@@ -19,6 +19,7 @@ from inteco_abs.control import (
     finite_demand,
     finite_estimate,
     function_of,
+    reference_function,
 )
 from inteco_abs.format import TICK
 from inteco_abs.machine_code import compile_problem, compiled, is_compiled, is_own, record, records
@@ -83,7 +84,8 @@ def pipeline_records(pipeline: Pipeline) -> tuple[ControlRecords, SequenceRecord
 
 def function_of_pipeline(pipeline: Pipeline) -> Function:
     """`decide_row` with the functions of the pipeline's parts."""
-    return _bound(decide_row, pipeline.estimator, pipeline.machine.controller)
+    controller = pipeline.machine.controller
+    return partial(_bound(decide_row, pipeline.estimator, controller), reference=reference_function(controller))
 
 
 def demand_rows(
@@ -143,7 +145,12 @@ def decide_rows(parts: ControlRecords, sequence: SequenceRecords, rows: Any, dec
 
 
 def decide_row(
-    parts: ControlRecords, sequence: SequenceRecords, row: Any, estimate: Function, control: Function
+    parts: ControlRecords,
+    sequence: SequenceRecords,
+    row: Any,
+    estimate: Function,
+    control: Function,
+    reference: Function,
 ) -> bool:
     """Decide as `Pipeline.step` on the inputs of a row, and write the outputs into it.
 
@@ -173,7 +180,7 @@ def decide_row(
         s.drive, s.brake = guard.drive, guard.brake
     row.wheel_speed_rad_s, row.road_speed_rad_s, row.slip = s.wheel_speed, s.road_speed, s.slip
     row.estimate_valid, row.phase, row.reason = s.valid, machine.phase, guard.reason
-    row.slip_reference = reference_slip if machine.phase == _BRAKING else math.nan
+    row.slip_reference = reference(controllers[0], reference_slip) if machine.phase == _BRAKING else math.nan
     row.switching, row.torque_demand_nm = (s.switching, s.torque_nm) if held else (0.0, 0.0)
     row.c0, row.c1, row.c2, row.c3 = (s.c0, s.c1, s.c2, s.c3) if held else (0.0, 0.0, 0.0, 0.0)
     row.drive_request, row.brake_request = machine.drive_request, machine.brake_request

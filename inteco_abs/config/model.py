@@ -302,11 +302,29 @@ class ControllerConfig(Section):
     """A shipped controller or one of an installed package; a file of your own is named on the command line only, as it
     is code that will run."""
     reference_slip: Annotated[float, Interval(gt=0.0, lt=1.0)] = 0.2
-    """Slip that the controller holds."""
+    """Slip that the controller holds, unless `reference_points` are given."""
+    reference_points: Annotated[list[Annotated[float, Interval(gt=0.0, lt=1.0)]], MinLen(2), MaxLen(1000)] | None = None
+    """Slips to hold in turn, linear between them, at the values of one of the two following keys."""
+    reference_at_s: Annotated[list[Annotated[float, Interval(ge=0.0, le=60.0)]], MinLen(2), MaxLen(1000)] | None = None
+    """Times since braking began; rising, the same one twice is a step."""
+    reference_at_rad_s: (
+        Annotated[list[Annotated[float, Interval(ge=0.0, le=245.0)]], MinLen(2), MaxLen(1000)] | None
+    ) = None
+    """Estimated road speeds; rising, the same one twice is a step."""
     hold_below_rad_s: Annotated[float, Interval(ge=0.0, le=100.0)] = 5.0
     """Below this estimated road speed the last demand is held: the model's terms grow like 1/speed."""
     gains: dict[str, float] = field(default_factory=dict)
     """The controller's own; defaults where not named."""
+
+    @property
+    def constant_slip(self) -> float | None:
+        """The reference slip where it is constant, else None."""
+        return self.reference_slip if self.reference_points is None else None
+
+    @property
+    def reference_text(self) -> str:
+        """The reference slip for people."""
+        return f"reference slip {self.reference_slip:g}" if self.reference_points is None else "changing reference slip"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

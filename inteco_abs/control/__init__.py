@@ -39,6 +39,7 @@ from inteco_abs.control.functions import Function, finite_demand, finite_estimat
 from inteco_abs.control.guard import Guard
 from inteco_abs.control.phase_machine import REST_COUNTS, PhaseMachine, demand_of
 from inteco_abs.control.pipeline import OVER, DecisionState, Pipeline, advance_and_admit
+from inteco_abs.control.reference import reference_function
 from inteco_abs.control.slip_dynamics import (
     BrakingModel,
     SlipConstants,
@@ -97,5 +98,6 @@ __all__ = [
     "preferred_estimator",
     "reaching_law_torque",
     "reaching_time_bound",
+    "reference_function",
     "slip_terms",
 ]

@@ -12,6 +12,7 @@ from inteco_abs.config import Check, RigConfig, section_of
 from inteco_abs.control.controllers import CONTROLLERS, Controller, Gain, Setup
 from inteco_abs.control.estimators import ESTIMATORS, Estimator
 from inteco_abs.control.pipeline import Pipeline
+from inteco_abs.control.reference import check_reference, following
 from inteco_abs.errors import ConfigError, ConfigIssue, near_match, place_in, shortened
 from inteco_abs.quantities import number_hint
 from inteco_abs.rig import RigVariation, nominal_brake_map, nominal_parameters
@@ -45,7 +46,7 @@ def make_controller(config: RigConfig, controllers: Mapping[str, type[Controller
     make: Any = controllers[config.controller.name]  # each controller's constructor takes its own gains
     with _blamed_on(config):
         controller: Controller = make(setup, **gains_in_force(config, controllers))
-    return controller
+    return following(controller, config)
 
 
 @contextmanager
@@ -133,6 +134,7 @@ def control_check(
                 yield from error.mistakes
             else:
                 yield from _check_gains(name, section_of(controller, "gains"), gains)
+                yield from check_reference(name, controllers[name], controller)
 
     return check
 

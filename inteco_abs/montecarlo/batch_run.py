@@ -92,7 +92,7 @@ def _compiled_stops(experiment: Experiment) -> Iterator[tuple[int, _Ended]]:
         if function is None:
             return
         parts = parts_of(config_of_stop(config, rig), estimator, called or controller, phase)
-        arguments = batch.rig(i), parts, (config.period_ns, longest), rows
+        arguments = batch.rig(i), parts, (config.period_ns, longest, config.controller.reference_slip), rows
         if i == 0 and (problem := compile_problem(function, arguments)):
             names = f"{config.controller.name} on {config.estimator.name}"
             problem = f"{names} has a function that cannot be compiled: {problem}; a class without `function` can run"
@@ -164,7 +164,7 @@ class _Shard:
         self._longest = _longest(config)
         self._first_row = -1  # tick of the first row
         self._rows = np.empty((_FIRST_ROWS, COLUMNS, len(rigs)))
-        self._drives, self._brakes, self._slips = np.zeros((3, len(rigs)))
+        self._drives, self._brakes, self._slips, self._references = np.zeros((4, len(rigs)))
 
     def run(self) -> Iterator[_Ended]:
         """All ticks, until every stop has ended."""
@@ -195,6 +195,7 @@ class _Shard:
                 continue
             slips[i] = stop.step(Sample(tick, time_ns, period_s, wheel_counts[i], road_counts[i]))
             drives[i], brakes[i] = stop.pipeline.command
+            self._references[i] = stop.pipeline.reference_slip
             if stop.began == tick and self._first_row < 0:
                 self._first_row = tick
 
@@ -206,7 +207,7 @@ class _Shard:
         row = self._rows[place]
         row[0], row[1], row[2] = batch.wheel_speed, batch.road_speed, batch.slip
         row[3], row[4] = batch.brake_torque, batch.road_angle
-        row[5], row[6] = self._slips, self._brakes
+        row[5], row[6], row[7] = self._slips, self._brakes, self._references
 
     def _ended(self, i: int) -> _Ended:
         stop, first = self._stops[i], self._first_row
@@ -228,7 +229,7 @@ def _metrics(stop: _Ended, config: RigConfig) -> tuple[float, ...]:
         trace.brake,
     )
     parameters = nominal_parameters(config.model)
-    found = stop_metrics(course, config.controller.reference_slip, parameters)
+    found = stop_metrics(course, stop.rows[:, 7].copy(), parameters)
     values = (found[name.removesuffix("_true")] for name in METRICS)
     return tuple(math.nan if value is None else value for value in values)
 
@@ -239,5 +240,5 @@ def _since_ns(rows: Array, config: RigConfig) -> Array:
 
 def _trace(rows: Array, config: RigConfig) -> Trace:
     time_s = _since_ns(rows, config) * 1e-9
-    wheel_speed, road_speed, slip, torque, angle, estimated, brake = rows.T.copy()
+    wheel_speed, road_speed, slip, torque, angle, estimated, brake, _ = rows.T.copy()
     return Trace(time_s, wheel_speed, road_speed, slip, estimated, torque, angle - angle[0], brake)

@@ -17,6 +17,7 @@ from inteco_abs.control import (
     finite_demand,
     finite_estimate,
     function_of,
+    reference_function,
 )
 from inteco_abs.machine_code import record
 from inteco_abs.rig.model import true_slip
@@ -24,8 +25,8 @@ from inteco_abs.rig.plant import move_on, read_encoders
 from inteco_abs.sessions import STANDSTILL_RAD_S
 from inteco_abs.signals import Command, Phase, Reason, Sample
 
-COLUMNS: Final = 7
-"""Speeds of wheel and road, slip, brake torque, road angle, estimated slip, and requested duty of the brake."""
+COLUMNS: Final = 8
+"""Speeds of wheel and road, slip, brake torque, road angle, estimated slip, the brake's duty, and reference slip."""
 _ON_THE_WAY: Final = 64
 """Commands of one rig for which there is room at first."""
 _NONE: Final = Reason.NONE
@@ -63,7 +64,9 @@ class Course(NamedTuple):
 def function_of_stop(estimator: object, controller: object) -> Function | None:
     """`stop` with these two, or None where one of them is not a function."""
     estimate, control = function_of(estimator), function_of(controller)
-    return None if estimate is None or control is None else partial(stop, estimate=estimate, control=control)
+    if estimate is None or control is None:
+        return None
+    return partial(stop, estimate=estimate, control=control, reference=reference_function(controller))
 
 
 def parts_of(config: RigConfig, estimator: Any, controller: Any, phase: Phase) -> Parts:
@@ -76,17 +79,18 @@ def parts_of(config: RigConfig, estimator: Any, controller: Any, phase: Phase) -
 def stop(
     rig: tuple[Any, Any],
     parts: Parts,
-    clock: tuple[int, int],
+    clock: tuple[int, int, float],
     rows: NDArray[np.float64],
     estimate: Function,
     control: Function,
+    reference: Function,
 ) -> Course:
     """One stop of a `rig`, of which this has constants and state: a row of `rows` for each tick from braking on.
 
-    The `clock` has the period in ns and how many ticks braking may take. Output first: a tick reads and decides, and
-    what was decided goes to the brake the rig's own delay later.
+    The `clock` has the period in ns, how many ticks braking may take, and the slip to hold where that is constant.
+    Output first: a tick reads and decides, and what was decided goes to the brake the rig's own delay later.
     """
-    (k, s), (period_ns, longest), period_s = rig, clock, clock[0] / 1e9
+    (k, s), (period_ns, longest, constant), period_s = rig, clock, clock[0] / 1e9
     due_s: Any = np.zeros(_ON_THE_WAY)
     torques: Any = np.zeros(_ON_THE_WAY)
     sent = np.zeros((k.command_delay_ticks + 1, 2))
@@ -116,6 +120,7 @@ def stop(
             row = rows[tick - began]
             row[0], row[1], row[2] = s.wheel_speed, s.road_speed, true_slip(k, s)
             row[3], row[4], row[5], row[6] = s.brake_torque, s.road_angle, slip, guard.brake
+            row[7] = reference(parts.controller, constant)
         if ended:
             return Course(began, tick, decisions, guard.reason, True)
         sent[tick % sent.shape[0], 0], sent[tick % sent.shape[0], 1] = guard.drive, guard.brake

@@ -98,7 +98,7 @@ class RunningCard:
             "overruns": self._overruns,
             "stops": None if config is None else len(cards),
             "start_speed_rad_s": None,
-            "reference_slip": None if config is None else config.controller.reference_slip,
+            "reference_slip": None if config is None else config.controller.constant_slip,
             **dict.fromkeys(_STOP_METRICS),
             "lateness_us": self._lateness.percentiles(),
         }
@@ -135,7 +135,11 @@ class RunningCard:
             road_angle_rad=counts * 2.0 * math.pi / config.encoders.counts_per_turn,
             brake=stop["brake"],
         )
-        metrics = stop_metrics(trace, config.controller.reference_slip, nominal_parameters(config.model))
+        reference: float | Array = config.controller.reference_slip
+        if config.controller.constant_slip is None:
+            recorded = stop["slip_reference"]  # NaN once stopped
+            reference = np.where(np.isnan(recorded), reference, recorded)
+        metrics = stop_metrics(trace, reference, nominal_parameters(config.model))
         if true is not None:
             metrics |= {name: metrics[name.removesuffix("_true")] for name in _STOP_METRICS if name.endswith("_true")}
         return {"start_speed_rad_s": float(source["road_speed_rad_s"][0]), **metrics}

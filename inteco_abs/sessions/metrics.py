@@ -42,8 +42,10 @@ class StopTrace:
     """Duty decided by each tick, in 0..1."""
 
 
-def stop_metrics(trace: StopTrace, reference: float, parameters: RigParameters) -> dict[str, float | None]:
-    """Metrics of a stop of at least one tick with the slip `reference`; None for those that it does not have.
+def stop_metrics(trace: StopTrace, reference: float | Array, parameters: RigParameters) -> dict[str, float | None]:
+    """Metrics of a stop of at least one tick; None for those that it does not have.
+
+    `reference` is the slip to hold, one for all ticks or one for each.
 
     Reaching is the first crossing of the reference, band entry the first slip within 0.01 of it. Slip RMS is that of
     slip minus reference from 20 ms after band entry until the road wheel is below 10 rad/s; `fixed` begins 0.25 s after

@@ -244,14 +244,16 @@ class Dashboard:
 
     def _slip(self, width: int, rows: int) -> list[Line]:
         times, _, _, slip = self._trace.columns()
-        axes, reference = PlotAxes(self._trace.span_s(), 1.0), self._config.controller.reference_slip
+        axes, reference = PlotAxes(self._trace.span_s(), 1.0), self._config.controller.constant_slip
         always = np.array([0.0, axes.span_s])
         head = [
             (" slip           ", "bold"),
             *self._legend("slip", f"{self._shown.slip:6.3f}", _SLIP, "*", dashed=False),
-            *self._legend("reference", f"{reference:g}", "", "-", dashed=True),
+            *self._legend("reference", "changing" if reference is None else f"{reference:g}", "", "-", dashed=True),
         ]
-        curves = [Curve(times, slip, _SLIP, "*"), Curve(always, np.full(2, reference), "", "-", dashed=True)]
+        curves = [Curve(times, slip, _SLIP, "*")]
+        if reference is not None:
+            curves.append(Curve(always, np.full(2, reference), "", "-", dashed=True))
         return [head, *plot(curves, axes, width, rows, plain=self._plain)]
 
     def _legend(self, name: str, value: str, style: str, mark: str, *, dashed: bool) -> Line:

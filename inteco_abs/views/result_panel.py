@@ -52,7 +52,8 @@ def render_card(
     outcome = str(card["outcome"])
     colour = _COLOURS.get(outcome, "red")
     head = Text.assemble((outcome.upper(), f"bold {colour}"), f"  {card['controller']} on {card['estimator']}, ")
-    head.append(f"reference slip {card['reference_slip']:g}")
+    reference = card["reference_slip"]
+    head.append("changing reference slip" if reference is None else f"reference slip {reference:g}")
     if card["rig"]:
         head.append(f", rig {card['rig']}")
     if card["stops"] > 1:

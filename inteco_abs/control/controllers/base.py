@@ -65,7 +65,6 @@ class Controller(Protocol):
 class LawConstants:
     """Constants of every `ModelLaw`; a subclass of it adds its gains by their names."""
 
-    reference: float
     hold_below: float
     """Road speed below which the last demand is held, rad/s."""
     model: SlipConstants
@@ -87,6 +86,8 @@ class LawState:
     lagged_nm: float = 0.0
     settled_nm: float = 0.0
     integral: float = 0.0
+    reference: float = 0.0
+    """Slip to hold now."""
 
 
 def model_law(k: LawConstants, s: LawState, estimate: Estimate, dt_s: float, rate: Function) -> BrakeDemand:
@@ -101,7 +102,7 @@ def model_law(k: LawConstants, s: LawState, estimate: Estimate, dt_s: float, rat
     if not (speed > 0.0 and 0.0 <= slip <= 1.0):
         raise ValueError("the estimate's slip must be in 0..1, and its road speed above 0 rad/s")
     f, g = slip_terms(k.model, slip, speed)
-    switching = slip - k.reference
+    switching = slip - s.reference
     torque = -(f + rate(k, s, switching, speed, dt_s)) / g
     settled = torque if k.lag_s == 0.0 else _ahead_of_lag(k, s, torque, dt_s)
     brake, equivalent = min(1.0, brake_duty(settled, k.model.parameters)), -f / g
@@ -162,13 +163,13 @@ class ModelLaw(LawState):
 
         Raises TypeError for a gain that is missing, given twice or unknown, ValueError for more values than gains.
         """
-        super().__init__()
+        super().__init__(reference=setup.reference_slip)
         full_nm = brake_torque(1.0, setup.parameters)
         model = BrakingModel(setup.parameters)
         names = [*(field.name for field in fields(self._constants)[len(fields(LawConstants)) :]), LAG.name]
         given = dict(zip(names[: len(values)], values, strict=True))
         named = gains if LAG.name in given else {LAG.name: 0.0, **gains}
-        self.k = self._constants(setup.reference_slip, setup.hold_below_rad_s, model, full_nm, **given, **named)
+        self.k = self._constants(setup.hold_below_rad_s, model, full_nm, **given, **named)
 
     def approach(self, switching: float, road_speed: float, dt_s: float) -> float:
         """Rate in 1/s at which the slip error shall decay."""

@@ -12,9 +12,8 @@ from inteco_abs.signals import BrakeDemand, Estimate
 
 @dataclass(frozen=True, slots=True)
 class LinearConstants:
-    """Reference and gains."""
+    """Gains."""
 
-    reference: float
     Kp: float
     Ki: float
     bias: float
@@ -25,11 +24,13 @@ class LinearState:
     """The integral, as a duty."""
 
     integral: float = 0.0
+    reference: float = 0.0
+    """Slip to hold now."""
 
 
 def proportional_integral(k: LinearConstants, s: LinearState, estimate: Estimate, dt_s: float) -> BrakeDemand:
     """Limited duty; anti-windup by conditional integration."""
-    error = k.reference - estimate.slip
+    error = s.reference - estimate.slip
     step = k.Ki * error * dt_s
     duty = k.bias + k.Kp * error + s.integral + step
     if 0.0 <= duty <= 1.0 or (duty > 1.0) != (step > 0.0):
@@ -52,8 +53,8 @@ class ProportionalIntegral(LinearState):
     internals: ClassVar[tuple[str, ...]] = ("integral_duty",)
 
     def __init__(self, setup: Setup, Kp: float, Ki: float, bias: float) -> None:
-        super().__init__()
-        self.k = LinearConstants(setup.reference_slip, Kp, Ki, bias)
+        super().__init__(reference=setup.reference_slip)
+        self.k = LinearConstants(Kp, Ki, bias)
 
     def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:
         """Return the limited duty."""
@@ -62,9 +63,8 @@ class ProportionalIntegral(LinearState):
 
 @dataclass(frozen=True, slots=True)
 class StepsConstants:
-    """Reference and gains."""
+    """Gains."""
 
-    reference: float
     first: float
     rise: float
     length_s: float
@@ -75,6 +75,8 @@ class StepsState:
     """Time since the first demand."""
 
     elapsed_s: float = 0.0
+    reference: float = 0.0
+    """Slip to hold now."""
 
 
 def staircase(k: StepsConstants, s: StepsState, estimate: Estimate, dt_s: float) -> BrakeDemand:
@@ -82,7 +84,7 @@ def staircase(k: StepsConstants, s: StepsState, estimate: Estimate, dt_s: float)
     step = int(s.elapsed_s / k.length_s)
     s.elapsed_s += dt_s
     duty = max(0.0, min(1.0, k.first + k.rise * step))
-    return BrakeDemand(duty, 0.0, estimate.slip - k.reference, (0.0, 0.0, 0.0, 0.0))
+    return BrakeDemand(duty, 0.0, estimate.slip - s.reference, (0.0, 0.0, 0.0, 0.0))
 
 
 class Steps(StepsState):
@@ -99,8 +101,8 @@ class Steps(StepsState):
     internals: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, setup: Setup, first: float, rise: float, length_s: float) -> None:
-        super().__init__()
-        self.k = StepsConstants(setup.reference_slip, first, rise, length_s)
+        super().__init__(reference=setup.reference_slip)
+        self.k = StepsConstants(first, rise, length_s)
 
     def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:
         """Duty of the current step; the first begins with the first demand."""

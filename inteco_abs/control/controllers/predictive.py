@@ -22,9 +22,8 @@ _RISEN_SLIP: Final = 0.035
 
 @dataclass(frozen=True, slots=True)
 class PredictiveConstants:
-    """Reference, gains, and the rig."""
+    """Gains and the rig."""
 
-    reference: float
     hold_below: float
     """Road speed below which the last demand is held, rad/s."""
     contact: WheelConstants
@@ -48,6 +47,8 @@ class PredictiveState:
     brake_dead_time_s: float = 0.0
     brake_lag_s: float = 0.0
     settled_nm: float = 0.0
+    reference: float = 0.0
+    """Slip to hold now."""
 
 
 def predictive(k: PredictiveConstants, s: PredictiveState, estimate: Estimate, dt_s: float) -> BrakeDemand:  # noqa: ARG001  a static law
@@ -73,7 +74,7 @@ def _find_torques(k: PredictiveConstants, s: PredictiveState, estimate: Estimate
     slip = braking_slip(x1, x2, k.contact.parameters)
     if not 0.0 <= slip <= 1.0:
         raise ValueError(NOT_A_SLIP)
-    switching = slip - k.reference
+    switching = slip - s.reference
     sine, cosine = elementary.sin_cos(seen.wheel_angle_rad)
     factor = seen.adhesion_factor + seen.ripple_cosine * cosine + seen.ripple_sine * sine
     factor_rate = (seen.ripple_sine * cosine - seen.ripple_cosine * sine) * x1
@@ -133,9 +134,9 @@ class PredictiveReaching(PredictiveState):
     estimator: ClassVar[str] = "observer"
 
     def __init__(self, setup: Setup, k: float, a: float, a_most: float, kM: float) -> None:
-        super().__init__()
+        super().__init__(reference=setup.reference_slip)
         contact, points = WheelDynamics(setup.parameters), setup.brake_map.points
-        self.k = PredictiveConstants(setup.reference_slip, setup.hold_below_rad_s, contact, points, k, a, a_most, kM)
+        self.k = PredictiveConstants(setup.hold_below_rad_s, contact, points, k, a, a_most, kM)
 
     def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:  # noqa: ARG002  a static law
         """Demand of the law; the last one without a prediction, and when the road is about to stop."""

@@ -21,9 +21,8 @@ _LEVELS = (
 
 @dataclass(frozen=True, slots=True)
 class RelayConstants:
-    """Reference and duties."""
+    """Duties."""
 
-    reference: float
     on_duty: float
     off_duty: float
 
@@ -33,11 +32,13 @@ class RelayState:
     """Whether the brake is on."""
 
     on: bool = False
+    reference: float = 0.0
+    """Slip to hold now."""
 
 
 def relay(k: RelayConstants, s: RelayState, estimate: Estimate, dt_s: float) -> BrakeDemand:  # noqa: ARG001  a static law
     """Full or no brake by the slip error."""
-    switching = estimate.slip - k.reference
+    switching = estimate.slip - s.reference
     s.on = switching < 0.0
     return BrakeDemand(k.on_duty if s.on else k.off_duty, 0.0, switching, (0.0, 0.0, 0.0, 0.0))
 
@@ -52,8 +53,8 @@ class Relay(RelayState):
     internals: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, setup: Setup, on_duty: float, off_duty: float) -> None:
-        super().__init__()
-        self.k = RelayConstants(setup.reference_slip, on_duty, off_duty)
+        super().__init__(reference=setup.reference_slip)
+        self.k = RelayConstants(on_duty, off_duty)
 
     def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:
         """Full or no brake by the slip error."""
@@ -85,13 +86,15 @@ class SmithState:
     rise: float = 0.0
     """Sum of what they add."""
     on: bool = False
+    reference: float = 0.0
+    """Slip to hold now."""
 
 
 def smith_relay(k: SmithConstants, s: SmithState, estimate: Estimate, dt_s: float) -> BrakeDemand:
     """Full or no brake by the error of the expected slip."""
     _count(k, s, dt_s)
     expected = estimate.slip + s.rise
-    switching = expected - k.reference
+    switching = expected - s.reference
     s.on = switching < 0.0
     return BrakeDemand(k.on_duty if s.on else k.off_duty, 0.0, switching, (expected, 0.0, 0.0, 0.0))
 
@@ -146,9 +149,8 @@ class SmithRelay(SmithState):
         fall_per_s: float,
     ) -> None:
         length = int(dead_time_s * _MOST_RATE_HZ) + _ROOM
-        super().__init__([0.0] * length, [0.0] * length)
-        reference = setup.reference_slip
-        self.k = SmithConstants(reference, on_duty, off_duty, dead_time_s, rise_per_s, fall_per_s, length)
+        super().__init__([0.0] * length, [0.0] * length, reference=setup.reference_slip)
+        self.k = SmithConstants(on_duty, off_duty, dead_time_s, rise_per_s, fall_per_s, length)
 
     def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:
         """Full or no brake by the error of the expected slip."""

@@ -1,0 +1,81 @@
+"""A reference slip that changes while braking: followed, recorded and replayed."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from inteco_abs.analysis import replay_session
+from inteco_abs.analysis.compiled_replay import replay_rows
+from inteco_abs.analysis.replay import decisions
+from inteco_abs.config import load_config
+from inteco_abs.control import CONTROLLERS, build_pipeline, control_check
+from inteco_abs.errors import ConfigError
+from inteco_abs.format import TICK
+from inteco_abs.plugins import Controllers
+from inteco_abs.sessions import session_config
+from inteco_abs.signals import Phase
+
+STEP = ("controller.reference_points=[0.1, 0.1, 0.3]", "controller.reference_at_s=[0.0, 0.2, 0.2]")
+RAMP = ("controller.reference_points=[0.3, 0.1]", "controller.reference_at_rad_s=[20.0, 60.0]")
+QUICK = ("experiment.start_speed_rad_s=70.0", "experiment.idle_s=0.02", "experiment.hold_s=0.05")
+IDEAL_BRAKE = ("controller.name=boundary-layer", "estimator.name=kalman")
+
+
+def braking_of(session):
+    return session.ticks[session.ticks["phase"] == Phase.BRAKING]
+
+
+def assert_replays(session):
+    """In Python and compiled, with the bits of the run."""
+    pipelines = [build_pipeline(session_config(session, (control_check(),)), CONTROLLERS) for _ in range(3)]
+    assert replay_session(session, pipelines[0]).differing == 0
+    compiled, python = replay_rows(pipelines[1], session.ticks, may_compile=True), decisions(session, pipelines[2])
+    assert compiled is not None
+    for column in TICK.columns:
+        if column.role.value != "timing":
+            assert compiled[column.name].tobytes() == python[column.name].tobytes(), column.name
+
+
+def test_a_step_in_time_is_recorded_followed_in_every_stop_and_replayed(run_at, tmp_path):
+    session = run_at(tmp_path / "step.mcap", (*QUICK, *STEP, *IDEAL_BRAKE, "experiment.stops=2")).session
+    ticks = braking_of(session)
+    starts = [0, *(np.flatnonzero(np.diff(ticks["time_ns"]) > 10_000_000) + 1), len(ticks)]
+    assert len(starts) == 3
+    for first, end in pairwise(starts):
+        stop = ticks[first:end]
+        since_s = (stop["time_ns"] - stop["time_ns"][0]) * 1e-9
+        assert set(stop["slip_reference"][since_s < 0.199]) == {0.1}
+        assert set(stop["slip_reference"][since_s > 0.202]) == {0.3}
+        acting = since_s > 0.001
+        assert np.array_equal(
+            (stop["slip"] - stop["slip_reference"])[acting & (stop["road_speed_rad_s"] > 6.0)],
+            stop["switching"][acting & (stop["road_speed_rad_s"] > 6.0)],
+        )
+    assert_replays(session)
+
+
+def test_a_ramp_over_speed_is_that_of_the_estimated_speed(run_at, tmp_path):
+    made = run_at(tmp_path / "ramp.mcap", (*QUICK, *RAMP, *IDEAL_BRAKE))
+    ticks = braking_of(made.session)[1:]
+    wanted = np.interp(ticks["road_speed_rad_s"], [20.0, 60.0], [0.3, 0.1])
+    assert np.allclose(ticks["slip_reference"], wanted, rtol=0.0, atol=1e-12)
+    assert_replays(made.session)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (STEP[:1], ["reference_points", "reference_at_s", "reference_at_rad_s"]),
+        (STEP[1:], ["reference_points"]),
+        ((STEP[0], "controller.reference_at_s=[0.0, 0.2]"), ["3 slips for 2 values"]),
+        ((STEP[0], "controller.reference_at_s=[0.0, 0.3, 0.2]"), ["must rise"]),
+        ((STEP[0], "controller.reference_at_s=[0.0, 0.1, 99.0]"), ["99"]),
+        ((*STEP, RAMP[1]), ["one of reference_at_s and reference_at_rad_s"]),
+        ((*STEP, "controller.name=extremum-seeking"), ["extremum-seeking holds a constant slip only"]),
+    ],
+)
+def test_points_that_make_no_reference_are_refused(settings, words):
+    with pytest.raises(ConfigError) as raised:
+        load_config(settings=settings, checks=[control_check(Controllers())])
+    assert all(word in str(raised.value) for word in words), raised.value
