@@ -31,6 +31,8 @@ _LOST_RAD: Final = 0.5
 """Innovation of a wheel's angle beyond which the filter has diverged."""
 _STEP_PAUSE_S: Final = 0.010
 """Shortest time between two steps of the adhesion."""
+MISLED_SD: Final = (0.03, 5.0, 0.03, 1.0)
+"""Standard deviations of angles and speeds of wheel and road, rad and rad/s, after the filter was misled."""
 Row = list[float]
 Tuple5 = tuple[float, float, float, float, float]
 
@@ -155,6 +157,20 @@ def begin(k: EkfConstants, s: EkfState, pending: DelayState, wheel: DiscState, r
     for i in range(6):
         P[5 + i][5 + i] = elementary.raised(deviations[i], 2)
     s.surprise, s.step_in_s = 0.0, sd.step_after_s
+
+
+def _restart_covariance(k: EkfConstants, s: EkfState) -> None:
+    """Forget the covariance, and keep the state: deviations as before braking, and of the wheels as if misled."""
+    P, sd, torque = s.P, k.tuning, _UNSETTLED * s.x[4]
+    for i in range(12):
+        for j in range(12):
+            P[i][j] = 0.0
+    for i in range(4):
+        P[i][i] = elementary.raised(MISLED_SD[i], 2)
+    deviations = torque, sd.torque_sd_nm, sd.adhesion_sd, sd.ripple_sd, sd.ripple_sd, sd.dead_time_sd_s, sd.lag_sd_s
+    for i in range(7):
+        P[4 + i][4 + i] = elementary.raised(deviations[i], 2)
+    P[11][11] = elementary.raised(sd.release_sd, 2)
 
 
 def braking_ekf(
@@ -308,8 +324,8 @@ def correct(k: EkfConstants, s: EkfState, wheel_angle: float, road_angle: float)
     """Sequential correction by both angles: the second uses the covariance that the first leaves.
 
     A time between stamp and counts adds its variance times [x1 x2]'*[x1 x2] to that of the angles. Of the road's angle
-    as much of the wheel's is taken as the two errors have in common, so that what is left is independent. Raises
-    ValueError for a variance that is negative.
+    as much of the wheel's is taken as the two errors have in common, so that what is left is independent. Where a
+    variance is not above 0, as rounding may leave it far from the model, the covariance begins again instead.
     """
     P, x = s.P, s.x
     wheel_error = wheel_angle * s.radius_ratio - x[0]
@@ -320,17 +336,23 @@ def correct(k: EkfConstants, s: EkfState, wheel_angle: float, road_angle: float)
     w7, w8, w9, w10, w11 = r[7], r[8], r[9], r[10], r[11]
     w = w0, w1, w2, w3, w4, w5, w6, w7, w8, w9, w10, w11
     jitter, common = k.noise + k.jitter * x[1] * x[1], k.jitter * x[1] * x[3]
-    wheel_scale, taken = 1.0 / (w0 + jitter), common / jitter
+    wheel_variance = w0 + jitter
+    if wheel_variance <= 0.0:
+        _restart_covariance(k, s)
+        return True
+    wheel_scale, taken = 1.0 / wheel_variance, common / jitter
     r, b = P[2], w2 * wheel_scale + taken * (1.0 - w0 * wheel_scale)
     v0, v1, v2, v3, v4, v5 = r[0] - b * w0, r[1] - b * w1, r[2] - b * w2, r[3] - b * w3, r[4] - b * w4, r[5] - b * w5
     v6, v7, v8, v9, v10 = r[6] - b * w6, r[7] - b * w7, r[8] - b * w8, r[9] - b * w9, r[10] - b * w10
     v11 = r[11] - b * w11
-    if wheel_scale < 0.0:  # the root of it is an error in Python, and NaN in machine code
-        raise ValueError("the variance of the wheel's angle is negative: the rig is far from the observer's model")
+    road_variance = v2 - taken * v0 + (k.noise + k.jitter * x[3] * x[3] - taken * common)
+    if road_variance <= 0.0:
+        _restart_covariance(k, s)
+        return True
     s.surprise += k.tuning.surprise_gain * (wheel_error * math.sqrt(wheel_scale) - s.surprise)
     road_error = road_angle - x[2] - b * wheel_error
     v = v0, v1, v2, v3, v4, v5, v6, v7, v8, v9, v10, v11
-    road_scale = 1.0 / (v2 - taken * v0 + (k.noise + k.jitter * x[3] * x[3] - taken * common))
+    road_scale = 1.0 / road_variance
     for i in range(12):
         a, b, r = w[i] * wheel_scale, v[i] * road_scale, P[i]
         x[i] = x[i] + a * wheel_error + b * road_error

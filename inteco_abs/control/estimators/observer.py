@@ -11,6 +11,7 @@ from inteco_abs import elementary
 from inteco_abs.config import RigConfig
 from inteco_abs.control.estimators.angles import rad_per_count, turned
 from inteco_abs.control.estimators.braking_ekf import (
+    MISLED_SD,
     SHORTEST_DEAD_TIME_S,
     EkfConstants,
     EkfState,
@@ -47,7 +48,7 @@ _SAMPLES: Final = 3
 """Samples until there is a speed."""
 _LATEST_ONSET_S: Final = 0.07
 """Time after the first command after which the brake acts for certain."""
-_DEPARTED: Final = 0.7
+_DEPARTED: Final = 0.5
 """Mean deviation from rolling, in standard deviations, at which it acts."""
 _NOTICED_S: Final = 0.015
 """Time from the onset to that deviation."""
@@ -56,8 +57,6 @@ _ONSET_SD_S: Final = 0.008
 _QUICK_LAG_S: Final = 0.004
 _QUICKLY_NOTICED_S: Final = 0.006
 """As above, of a quick brake."""
-_MISLED_SD: Final = (0.03, 5.0, 0.03, 1.0)
-"""Standard deviations of angles and speeds of wheel and road, rad and rad/s, when the filter took it for a slow one."""
 _BRAKE: Final = (4, 5, 9, 10, 11)
 _QUICK_SD: Final = (2.0, 0.34, 0.003, 0.003, 0.3)
 """Of its torque, excess torque, dead time, lag and its factor in releasing."""
@@ -188,7 +187,7 @@ def _take_for_quick(k: ObserverConstants, s: ObserverState) -> None:
         x[i] = moved[i]
         for j in range(4):
             P[i][j] = 0.0
-        P[i][i] = elementary.raised(_MISLED_SD[i], 2)
+        P[i][i] = elementary.raised(MISLED_SD[i], 2)
     x[9], x[10], x[11] = max(SHORTEST_DEAD_TIME_S, s.acted_s - _QUICKLY_NOTICED_S), _QUICK_LAG_S, 1.0
     x[4], _ = arrived(k.ekf.delay, pending, x[9], 0)
     for i in range(5):
@@ -203,25 +202,31 @@ def _find_onset(k: ObserverConstants, s: ObserverState, wheel_angle: float, road
     """
     if s.pending.torques[s.pending.newest] > 0.0:
         s.asked_s += dt_s
-    wheel, x, P = s.wheel, s.ekf.x, s.ekf.P
-    predicted = wheel.angle + dt_s * (wheel.speed + 0.5 * dt_s * wheel.acceleration)
-    variance = wheel.P[0][0] + k.disc.noise + k.disc.jitter * wheel.speed * wheel.speed
-    deviation = (straight(wheel, wheel_angle) - predicted) / math.sqrt(variance)
+    wheel, road, x, P = s.wheel, s.road, s.ekf.x, s.ekf.P
+    rolling = wheel.speed / max(road.speed, 1.0)
+    late = _ahead_of_prediction(road, road_angle, dt_s)  # as much of it as is common to both is the time stamp's
+    variance = wheel.P[0][0] + k.disc.noise + rolling * rolling * (road.P[0][0] + k.disc.noise)
+    deviation = (_ahead_of_prediction(wheel, wheel_angle, dt_s) - rolling * late) / math.sqrt(variance)
     s.departure += k.ekf.tuning.surprise_gain * (deviation - s.departure)
     follow(k.disc, wheel, wheel_angle, dt_s)
-    follow(k.disc, s.road, road_angle, dt_s)
+    follow(k.disc, road, road_angle, dt_s)
     if s.departure < -_DEPARTED:
         if x[9] < s.asked_s - _NOTICED_S - _ONSET_SD_S:
-            begin(k.ekf, s.ekf, s.pending, wheel, s.road)
+            begin(k.ekf, s.ekf, s.pending, wheel, road)
             x[4] *= 1.0 - elementary.exp(-_NOTICED_S / x[10])
             x[9] = s.asked_s - _NOTICED_S
-            P[1][1] += elementary.raised(_MISLED_SD[1], 2)
+            P[1][1] += elementary.raised(MISLED_SD[1], 2)
             P[4][4], P[9][9] = elementary.raised(0.5 * x[4], 2), elementary.raised(_ONSET_SD_S, 2)
         s.acted_s, s.asked_s = s.asked_s, _LATEST_ONSET_S
     elif s.ekf.surprise > k.ekf.tuning.surprise and x[9] < s.asked_s:
-        begin(k.ekf, s.ekf, s.pending, wheel, s.road)
+        begin(k.ekf, s.ekf, s.pending, wheel, road)
         x[4], x[9] = 0.0, s.asked_s
         P[4][4], P[9][9] = 0.0, elementary.raised(_ONSET_SD_S, 2)
+
+
+def _ahead_of_prediction(s: DiscState, angle: float, dt_s: float) -> float:
+    """Deviation of a rolling wheel from where its filter expects it, in rad, with the disc's `angle`."""
+    return straight(s, angle) - s.angle - dt_s * (s.speed + 0.5 * dt_s * s.acceleration)
 
 
 class Observer(ObserverState):
