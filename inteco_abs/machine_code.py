@@ -224,5 +224,8 @@ def _values(value: Any) -> Any:
 
 
 def row_fields(kind: Any) -> tuple[Field[Any], ...]:
-    """Backwards: numba takes a record that begins as another one for that one, and warns; a subclass's would."""
+    """Backwards: numba takes a record that begins as another one for that one, and warns; a subclass's would.
+
+    So would those of two classes that end with the same fields: what many have comes first.
+    """
     return fields(kind)[::-1]

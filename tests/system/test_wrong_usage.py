@@ -82,7 +82,6 @@ ROWS = [
     Row("a fault without its unit", "run --virtual --inject lose@20", 2, ("'20' is not a time",), "write 500us, 20ms"),
     Row("a fault of a real board", "run --board usb2: --inject lose@20ms", 2, ("--inject", "usb2:"), "sim: only"),
     Row("nothing to identify", "identify", 2, ("SESSION",), "name at least one session, or --plan"),
-    Row("a plan with sessions", "identify --plan a.mcap", 2, ("reads none",), "omit --plan to read them"),
     Row("an assumption without unit", "identify a.mcap --assume J1=5", 2, ("J1=5",), "must look like J1=5%"),
     Row("no question", "what-if stop.mcap", 2, ("nothing to compare",), "as controller.gains.Mk=5", (session(),)),
     Row("an endless question", "what-if a.mcap --sweep Mk", 2, ("--sweep Mk",), "like controller.gains.Mk=1,2,5"),

@@ -77,6 +77,8 @@ class LawConstants:
 class LawState:
     """The last demand, the brake's lag, and the law's integral."""
 
+    reference: float = 0.0
+    """Slip to hold now."""
     brake: float = 0.0
     torque_nm: float = 0.0
     switching: float = 0.0
@@ -86,8 +88,6 @@ class LawState:
     lagged_nm: float = 0.0
     settled_nm: float = 0.0
     integral: float = 0.0
-    reference: float = 0.0
-    """Slip to hold now."""
 
 
 def model_law(k: LawConstants, s: LawState, estimate: Estimate, dt_s: float, rate: Function) -> BrakeDemand:

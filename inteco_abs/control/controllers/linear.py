@@ -23,9 +23,9 @@ class LinearConstants:
 class LinearState:
     """The integral, as a duty."""
 
-    integral: float = 0.0
     reference: float = 0.0
     """Slip to hold now."""
+    integral: float = 0.0
 
 
 def proportional_integral(k: LinearConstants, s: LinearState, estimate: Estimate, dt_s: float) -> BrakeDemand:
@@ -74,9 +74,9 @@ class StepsConstants:
 class StepsState:
     """Time since the first demand."""
 
-    elapsed_s: float = 0.0
     reference: float = 0.0
     """Slip to hold now."""
+    elapsed_s: float = 0.0
 
 
 def staircase(k: StepsConstants, s: StepsState, estimate: Estimate, dt_s: float) -> BrakeDemand:

@@ -39,6 +39,8 @@ class PredictiveConstants:
 class PredictiveState:
     """The last demand, and the torque in N m that the brake is driven to."""
 
+    reference: float = 0.0
+    """Slip to hold now."""
     brake: float = 0.0
     torque_nm: float = 0.0
     switching: float = 0.0
@@ -47,8 +49,6 @@ class PredictiveState:
     brake_dead_time_s: float = 0.0
     brake_lag_s: float = 0.0
     settled_nm: float = 0.0
-    reference: float = 0.0
-    """Slip to hold now."""
 
 
 def predictive(k: PredictiveConstants, s: PredictiveState, estimate: Estimate, dt_s: float) -> BrakeDemand:  # noqa: ARG001  a static law

@@ -31,9 +31,9 @@ class RelayConstants:
 class RelayState:
     """Whether the brake is on."""
 
-    on: bool = False
     reference: float = 0.0
     """Slip to hold now."""
+    on: bool = False
 
 
 def relay(k: RelayConstants, s: RelayState, estimate: Estimate, dt_s: float) -> BrakeDemand:  # noqa: ARG001  a static law
@@ -78,6 +78,8 @@ class SmithState:
 
     durations_s: list[float]
     rises: list[float]
+    reference: float = 0.0
+    """Slip to hold now."""
     first: int = 0
     """Place of the oldest one."""
     under_way: int = 0
@@ -86,8 +88,6 @@ class SmithState:
     rise: float = 0.0
     """Sum of what they add."""
     on: bool = False
-    reference: float = 0.0
-    """Slip to hold now."""
 
 
 def smith_relay(k: SmithConstants, s: SmithState, estimate: Estimate, dt_s: float) -> BrakeDemand:
