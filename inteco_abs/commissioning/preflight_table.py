@@ -101,7 +101,7 @@ def _board(board: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 def _grid() -> Table:
     table = Table.grid(padding=(0, 2))
-    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
     table.add_column(overflow="fold")
     return table
 

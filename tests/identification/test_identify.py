@@ -199,8 +199,9 @@ def test_the_next_run_brings_what_it_promises(sessions, found, tmp_path):
 
 
 @pytest.mark.long
-def test_the_plan_after_sessions_is_what_is_left_to_record(sessions, tmp_path, capsys):
-    dry = ("--plan", "--virtual", "--dry-run", "--set", "experiment.start_speed_rad_s=60", "-o", tmp_path)
+def test_the_plan_after_sessions_is_what_is_left_to_record(sessions, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    dry = ("--plan", "--virtual", "--dry-run", "--set", "experiment.start_speed_rad_s=60", "-o", "next")
     assert identify(*sessions.values(), *dry) == 0
     assert "stair-4.mcap" in capsys.readouterr().out
 
