@@ -1,4 +1,4 @@
-"""Nonlinear model predictive control of the slip, solved anew in each tick.
+"""Nonlinear model predictive control of the slip, solved in each tick.
 
 D. Tavernini, F. Vacca, M. Metzler, D. Savitski, V. Ivanov, P. Gruber, A. E. Hartavi, M. Dhaens, A. Sorniotti: An
 explicit nonlinear model predictive ABS controller for electro-hydraulic braking systems, IEEE Transactions on
