@@ -136,6 +136,10 @@ WRONG = [
     (["--slip-band", "0", "0.1"], ["--slip-band", "0.01..1"]),
     (["--from-slip", "2"], ["--from-slip", "2", "0..1"]),
     (["--set", "controller.reference_slip=0.001"], ["controller.reference_slip", "0.001", "at least 0.01"]),
+    (
+        ["--set", "controller.reference_points=[0.3, 0.1]", "--set", "controller.reference_at_s=[0, 1]"],
+        ["controller.reference_points", "one slip", "controller.reference_slip"],
+    ),
     (["--controller", "pi"], ["'pi' has no switching gain", "reaching-law"]),
     (["--controller", "predictive-reaching"], ["'predictive-reaching' has no switching gain", "reaching-law"]),
     (["--controller", "own.py"], ["own.py:Class"]),
