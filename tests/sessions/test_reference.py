@@ -11,6 +11,7 @@ from inteco_abs.analysis.replay import decisions
 from inteco_abs.config import load_config
 from inteco_abs.control import CONTROLLERS, build_pipeline, control_check
 from inteco_abs.errors import ConfigError
+from inteco_abs.experiment import Plan, run_checks
 from inteco_abs.format import TICK
 from inteco_abs.plugins import Controllers
 from inteco_abs.sessions import session_config
@@ -79,3 +80,11 @@ def test_points_that_make_no_reference_are_refused(settings, words):
     with pytest.raises(ConfigError) as raised:
         load_config(settings=settings, checks=[control_check(Controllers())])
     assert all(word in str(raised.value) for word in words), raised.value
+
+
+def test_a_controller_in_its_own_process_holds_a_constant_slip(tmp_path):
+    controllers = {"law.py:Law": CONTROLLERS["reaching-law"]}
+    config = load_config(settings=(*RAMP, "controller.name=law.py:Law"), checks=[control_check(controllers)])
+    plan = Plan(tmp_path / "a.mcap", virtual=False, controllers=controllers, controller_source=b"source")
+    with pytest.raises(ConfigError, match=r"controller.reference_points: in real time .* use --virtual"):
+        all(check() is None for check in run_checks(config, plan))
