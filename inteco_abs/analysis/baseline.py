@@ -25,9 +25,9 @@ def previous_card(card: Mapping[str, Any]) -> dict[str, Any] | None:
     """Card of the latest comparable session in the folder of this card's session; None without one.
 
     Comparable: completed, without injected faults, with the same controller, estimator, board, rig and reference slip,
-    and within 1 % the same start speed.
+    and within 1 % the same start speed. Nothing is comparable with a reference slip that changes, as the card lacks it.
     """
-    if card["outcome"] != _COMPLETED:
+    if card["outcome"] != _COMPLETED or card["reference_slip"] is None:
         return None
     mine = Path(card["session"])
     for path in islice(_newest_first(mine), _MOST_FILES):

@@ -40,6 +40,12 @@ def test_it_is_the_latest_of_those_before(folder):
     assert (before(second), before(third)) == ("1.mcap", "2.mcap")
 
 
+def test_with_a_changing_reference_nothing_is_comparable(folder):
+    changing = ("controller.reference_points=[0.3, 0.1]", "controller.reference_at_s=[0.0, 1.0]")
+    folder.stop(*changing)
+    assert before(folder.stop(*changing)) is None
+
+
 def test_its_card_is_whole_and_says_where_it_lies(folder):
     first = folder.stop()
     assert previous_card(folder.stop()) == first
