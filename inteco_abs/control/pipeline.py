@@ -11,7 +11,7 @@ from inteco_abs.control.controllers import Controller
 from inteco_abs.control.estimators import Estimator
 from inteco_abs.control.guard import Guard, GuardConstants, GuardState, admit, trip
 from inteco_abs.control.phase_machine import MachineConstants, MachineState, PhaseMachine, advance_phase
-from inteco_abs.control.reference import current_reference
+from inteco_abs.control.reference import reference_function
 from inteco_abs.signals import UNTIMED, BrakeDemand, Command, Estimate, Phase, Reason, Sample, Tick, Timing
 
 _NONE: Final = Reason.NONE
@@ -58,13 +58,13 @@ class Pipeline:
         self.estimator = estimator
         self.machine = PhaseMachine(config, controller, phase)
         self.guard = Guard(config)
-        self._constant_slip = config.controller.reference_slip
+        self._constant_slip, self._reference = config.controller.reference_slip, reference_function(controller)
         self._estimate = _NO_ESTIMATE
 
     @property
     def reference_slip(self) -> float:
         """Slip that the controller holds now."""
-        return current_reference(self.machine.controller, self._constant_slip)
+        return self._reference(self.machine.controller, self._constant_slip)
 
     @property
     def phase(self) -> Phase:

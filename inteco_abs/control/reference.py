@@ -82,7 +82,8 @@ class FollowingController(ReferenceState):
 
     def __init__(self, law: Any, at: list[float], slips: list[float], over_time: bool, start_rad_s: float) -> None:
         super().__init__(0.0, law)
-        self.k = ReferenceConstants(over_time, len(at), at, slips, law.k)
+        # a law without a function may have no constants
+        self.k = ReferenceConstants(over_time, len(at), at, slips, getattr(law, "k", None))
         law.reference = reference_at(self.k, 0.0 if over_time else start_rad_s)
 
     @property
@@ -109,25 +110,18 @@ def following(controller: Controller, config: RigConfig) -> Controller:
     return FollowingController(controller, list(at or ()), list(chosen.reference_points), over_time, start)
 
 
-def current_reference(controller: object, constant: float) -> float:
-    """Slip that the controller holds now: `constant`, unless its reference changes."""
-    return followed(controller, constant) if isinstance(controller, FollowingController) else constant
-
-
-def followed(controller: Any, _constant: float) -> float:
-    """Slip that a controller with a changing reference holds now."""
+def _followed(controller: Any, _constant: float) -> float:
     reference: float = controller.law.reference
     return reference
 
 
-def constant(_controller: Any, reference: float) -> float:
-    """Slip that any other controller holds."""
-    return reference
+def _constant(_controller: Any, constant: float) -> float:
+    return constant
 
 
 def reference_function(controller: object) -> Callable[[Any, float], float]:
-    """Either of the two above, to be compiled."""
-    return followed if isinstance(controller, FollowingController) else constant
+    """What gives the slip that a controller holds now, of it, or of its record, and the slip to hold if constant."""
+    return _followed if isinstance(controller, FollowingController) else _constant
 
 
 def check_reference(name: str, kind: type, table: Mapping[str, Any]) -> Iterator[ConfigIssue]:
