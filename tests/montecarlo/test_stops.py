@@ -249,11 +249,14 @@ def test_no_rigs_and_empty_shards_are_refused():
 
 def test_metrics_are_those_of_a_sessions_card():
     settings = ("estimator.name=kalman", "controller.gains.Mk=5", "experiment.start_speed_rad_s=120")
-    config = configured(*settings)
+    step = ("controller.reference_points=[0.2, 0.2, 0.15]", "controller.reference_at_s=[0, 0.30025, 0.30025]")
+    config = configured(*settings, *step)
     stops = run_stops(RIGS[:2], config, run_up_from_rad_s=None, traced=[0, 1])
     for place, trace in stops.traces.items():
+        reference = np.where(trace.time_s < 0.30025, 0.2, 0.15)
         ticks, truth = np.zeros(len(trace.time_s), TICK.dtype), np.zeros(len(trace.time_s), TRUTH.dtype)
         ticks["phase"], ticks["brake"], ticks["slip"] = Phase.BRAKING, trace.brake, trace.slip_estimated
+        ticks["slip_reference"] = reference
         ticks["time_ns"] = truth["time_ns"] = np.round(trace.time_s * 1e9)
         ticks["road_count"] = np.floor(trace.road_angle_rad * 2048 / (2.0 * math.pi))
         truth["slip"], truth["road_speed_rad_s"] = trace.slip, trace.road_speed_rad_s
@@ -261,7 +264,7 @@ def test_metrics_are_those_of_a_sessions_card():
         for name in set(METRICS) & card.keys() - {"stop_distance_m"}:
             assert stops[name][place] == card[name], name
         assert stops["stop_distance_m"][place] == pytest.approx(card["stop_distance_m"], abs=0.001)
-        error = trace.slip - 0.2
+        error = trace.slip - reference
         entered = trace.time_s >= stops["band_entry_s"][place]
         above = entered & (trace.road_speed_rad_s >= 10.0)
         assert stops["overshoot"][place] == error[above].max()

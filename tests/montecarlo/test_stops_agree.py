@@ -33,7 +33,14 @@ def assert_same(trace, ticks):
     [
         ("hard", ("controller.name=boundary-layer", "estimator.name=kalman")),
         ("rough", ("controller.name=smith-relay", "estimator.name=euler", "experiment.drive_duty=0.9")),
-        ("nominal", ("controller.gains.Mk=10", "controller.gains.Mq=4")),
+        (
+            "nominal",
+            (
+                "controller.gains.Mk=10",
+                "controller.reference_points=[0.3, 0.1]",
+                "controller.reference_at_rad_s=[20, 90]",
+            ),
+        ),
     ],
 )
 def test_whole_stops_are_those_of_the_scalar_plant_tick_by_tick(population, settings, run_up):
