@@ -4,6 +4,8 @@ import os
 import shutil
 import signal
 import sys
+import time
+from collections.abc import Callable
 
 if sys.platform != "win32":
     import fcntl
@@ -28,6 +30,8 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
 
 _final = list[str]()
+PATIENCE_S = 30.0
+"""For what takes milliseconds on an idle machine."""
 
 
 def pytest_runtest_logreport(report):
@@ -115,6 +119,19 @@ def pytest_runtest_protocol(item):
             return (yield)
         finally:
             sys.settrace(tracer)
+
+
+@pytest.fixture
+def until():
+    """Waits for a condition, and fails if it does not come true."""
+
+    def wait(condition: Callable[[], object], what: str = "") -> None:
+        end = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert time.monotonic() < end, f"it never came to that: {what}"
+            time.sleep(0.001)
+
+    return wait
 
 
 @pytest.fixture(scope="session")

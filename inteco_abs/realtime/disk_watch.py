@@ -43,7 +43,7 @@ class DiskWatch:
 
     def _report_slowness(self, screen: Screen) -> None:
         words = self._memory.words
-        behind = self._ticks.written - words[Field.FLUSHED]
+        behind = self._ticks.written - words[Field.SYNCED]
         if not (self._slow or words[Field.TROUBLES]) and behind > _SLOW_S * self._job.config.loop.rate_hz:
             self._slow = True
             screen.warn(f"the disk of {self._job.session} is slow: ticks are in memory only for now; the run continues")

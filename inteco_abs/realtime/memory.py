@@ -79,8 +79,8 @@ class Field(IntEnum):
     RECORDER_BEAT_NS = auto()
     RECORDING = auto()
     """1 once the session's header is on the disk."""
-    FLUSHED = auto()
-    """Number of ticks that are safely in the file."""
+    SYNCED = auto()
+    """Number of ticks that are on the disk."""
     LIVE_PORT = auto()
     """TCP port of the live view; 0 without one."""
     TROUBLES = auto()

@@ -123,6 +123,11 @@ class FailoverWriter:
         return self._writer.card.ticks if self._writer is not None else 0
 
     @property
+    def synced(self) -> int:
+        """Number of ticks that are on the disk, as far as is known."""
+        return self._recorder.synced
+
+    @property
     def header(self) -> RunHeader:
         """The run's header."""
         return self._begun.header
@@ -151,7 +156,7 @@ class FailoverWriter:
             self._attempt(lambda: self._begun.add(ticks, truths))
 
     def flush(self) -> None:
-        """Write everything so far to the file."""
+        """Write everything so far to the file; it reaches the disk while this program goes on."""
         if not self._failed:
             self._attempt(lambda: self._recorder.flush())  # noqa: PLW0108  of the current recorder
 
@@ -160,6 +165,10 @@ class FailoverWriter:
         self._warnings.append((unix_ns, text))
         if not self._failed:
             self._attempt(lambda: self._recorder.warn(unix_ns, text))
+
+    def slow_syncs(self) -> list[tuple[int, int]]:
+        """Beginning (monotonic clock) and duration, ns, of the syncs since the last call that took over a second."""
+        return self._recorder.slow_syncs()
 
     def finish(self, end: RunEnd) -> RunResult:
         """Complete the file; after a failure, try again to write all of it. Raises SessionError if every disk fails."""

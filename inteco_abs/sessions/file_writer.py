@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.metadata import version
-from io import BufferedWriter, FileIO
+from io import BufferedWriter
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self
@@ -44,6 +44,7 @@ from inteco_abs.format import (
     tag,
 )
 from inteco_abs.sessions.content import ATTACHMENT_HASH
+from inteco_abs.sessions.disk import Disk
 from inteco_abs.sessions.files import check_output
 from inteco_abs.sessions.mcap_writer import McapWriter
 from inteco_abs.sessions.reader import stored_rows
@@ -51,7 +52,6 @@ from inteco_abs.signals import EXPLANATIONS, Phase, Reason
 
 if TYPE_CHECKING:
     import numpy.typing as npt
-    from typing_extensions import Buffer  # collections.abc has it from Python 3.12 on
 
 FORMAT_VERSION: Final = "5"
 _MOST_WAITING: Final = 1 << 18  # bytes
@@ -59,56 +59,12 @@ _STATE: Final = ("phase", "reason")
 _INFO, _WARNING, _ERROR = 2, 3, 4  # levels of foxglove.Log
 
 
-class _Disk(FileIO):
-    """A new file that raises SessionError instead of OSError."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        try:
-            super().__init__(path, "xb+")
-        except OSError as error:
-            raise SessionError(f"{path} cannot be created: {describe_disk(error)}") from error
-
-    def write(self, data: Buffer, /) -> int:
-        """Write some of `data`."""
-        try:
-            return super().write(data)
-        except OSError as error:
-            raise self._failed(error) from error
-
-    def close(self) -> None:
-        """Close the file. Raises SessionError if its last bytes cannot be written."""
-        try:
-            super().close()
-        except OSError as error:
-            raise self._failed(error) from error
-
-    def sync(self) -> None:
-        """Wait until the content is on the disk."""
-        try:
-            os.fsync(self.fileno())
-        except OSError as error:
-            raise self._failed(error) from error
-
-    def require_linked(self) -> None:
-        """Raise SessionError if the file was removed or replaced: writing to it succeeds, but is lost."""
-        try:
-            found, ours = self.path.stat(), os.fstat(self.fileno())
-        except OSError as error:
-            raise SessionError(f"{self.name} is gone: {error.strerror}") from error
-        if not os.path.samestat(found, ours):
-            raise SessionError(f"{self.name} is gone: another file has its name")
-
-    def _failed(self, error: OSError) -> SessionError:
-        return SessionError(f"{self.name} cannot be written: {describe_disk(error)}")
-
-
 class FileWriter:
     """A session file being written at `path`; a context manager. Raises SessionError if the disk fails.
 
     `session_id` and `epoch_ns` (UNIX time of the monotonic clock's zero) are given for another file of the same
-    session. With `durable`, each change of phase and the end are synced to the disk before writing continues, which may
-    take seconds. Leaving the context closes the file; only `finish` completes it.
+    session. With `durable`, a thread syncs the file to the disk after each `flush`, and `begin` and `finish` wait until
+    it is there, which may take seconds. Leaving the context closes the file; only `finish` completes it.
     """
 
     def __init__(
@@ -129,7 +85,6 @@ class FileWriter:
         """UNIX time of the session's beginning."""
         self._durable = durable
         self._read = False
-        self._unsynced = True  # whether a change of phase, or the header, is not on the disk yet
         self._hash = hashlib.sha256()
         self._attached: dict[str, str] = {}
         self.written = 0
@@ -139,7 +94,7 @@ class FileWriter:
         self._newest_ns = self.started_ns
         self._before = (int(Phase.UNKNOWN), int(Reason.NONE))
         self._log = set[tuple[int, int, str]]()
-        self._disk = _Disk(path)
+        self._disk = Disk(path)
         self._file = BufferedWriter(self._disk)
         self._writer = McapWriter(self._file, f"inteco-abs/{version('inteco-abs')}")
         self._waiting, self._kind = bytearray(), TICK
@@ -200,7 +155,8 @@ class FileWriter:
         self._writer.add_message(self._parameter_channel, self.started_ns, data)
         facts = {"format_version": FORMAT_VERSION, "session_id": self.session_id, "started_utc": utc(self.started_ns)}
         self.describe("session", facts)
-        self.flush()
+        self._writer.end_chunk()
+        self._settle(wait=True)
 
     def ticks(self, records: bytes) -> None:
         """Add tick records, back to back, and an event for every change of phase and every fault among them."""
@@ -254,20 +210,28 @@ class FileWriter:
 
         They have separate chunks: a damaged one loses no ticks.
         """
-        self.flush()
+        self._end_chunk()
         channel = self._channel(IO_TOPIC, IO_NAME, io_frame_descriptor(), facts)
         count = 0
         for time_ns, data in messages:
             self._writer.add_message(channel, self._epoch_ns + time_ns, data, count & 0xFFFFFFFF)
             count += 1
-        self.flush()
+        self._writer.end_chunk()
         return count
 
     def flush(self) -> None:
         """Write everything so far to the file, readable as it is. Raises SessionError if the file was removed."""
-        self._pack()
-        self._writer.end_chunk()
-        self._settle()
+        self._end_chunk()
+        self._settle(wait=False)
+
+    @property
+    def synced(self) -> int:
+        """Number of ticks that are on the disk, as far as is known; 0 unless the file is durable."""
+        return self._disk.synced
+
+    def slow_syncs(self) -> list[tuple[int, int]]:
+        """Beginning (monotonic clock) and duration, ns, of the syncs since the last call that took over a second."""
+        return self._disk.slow_syncs()
 
     def warn(self, stamp_ns: int, text: str) -> None:
         """Add a warning to the log, at a wall clock time in ns."""
@@ -289,7 +253,7 @@ class FileWriter:
         """Complete the file: outcome, result card, hash of the payloads, index. Without `ended_utc`, it ends now."""
         self._pack()
         self._write_result(result)
-        self.flush()  # the last ticks come before the result
+        self._writer.end_chunk()  # the last ticks come before the result
         self.describe(
             "session",
             {
@@ -305,8 +269,7 @@ class FileWriter:
         self.describe("result", {"card": json.dumps(result)})
         self.describe("integrity", {"payload_sha256": self.payload_sha256, **self._attached})
         self._writer.finish()
-        self._unsynced = True
-        self._settle()
+        self._settle(wait=True)
 
     def _write_result(self, card: Mapping[str, Any]) -> None:
         """Write the card as a message, for viewers; this program reads it from the metadata."""
@@ -323,12 +286,15 @@ class FileWriter:
         except OSError as error:
             raise SessionError(f"{self.path} has no tick and cannot be removed: {error.strerror}") from error
 
-    def _settle(self) -> None:
+    def _end_chunk(self) -> None:
+        self._pack()
+        self._writer.end_chunk()
+
+    def _settle(self, *, wait: bool) -> None:
         self._file.flush()
         self._disk.require_linked()
-        if self._durable and self._unsynced:
-            self._disk.sync()
-        self._unsynced = False
+        if self._durable:
+            self._disk.sync(self._packed, wait=wait)
 
     def _changed(self, stamp_ns: int, phase: int, reason: int) -> None:
         if phase != self._before[0]:
@@ -336,7 +302,6 @@ class FileWriter:
         if reason != self._before[1]:
             self.event(stamp_ns, _ERROR, f"{Reason(reason).name}: {EXPLANATIONS[Reason(reason)]}")
         self._before = (phase, reason)
-        self._unsynced = True
 
     def _flat(self, message: Message, metadata: Mapping[str, str]) -> int:
         facts = {

@@ -176,9 +176,9 @@ def accessing(requests: Requests, ordinary):
 
 
 OF_OS = {
-    "open": "open", "write": "write", "pwrite": "write", "pread": "read", "fsync": "fsync", "replace": "replace",
-    "rename": "replace", "stat": "stat", "fstat": "stat", "unlink": "unlink", "posix_fallocate": "allocate",
-    "mkdir": "open", "rmdir": "unlink",
+    "open": "open", "write": "write", "pwrite": "write", "pread": "read", "fsync": "fsync",
+    "fdatasync": "fsync", "replace": "replace", "rename": "replace", "stat": "stat", "fstat": "stat",
+    "unlink": "unlink", "posix_fallocate": "allocate", "mkdir": "open", "rmdir": "unlink",
 }  # fmt: skip
 
 
@@ -186,7 +186,7 @@ OF_OS = {
 def asking(folder: Path, refusal: Refusal | None = None) -> Iterator[Requests]:
     """While inside, everything asked for in `folder`, and every process that is started, is a request."""
     requests = Requests(str(folder), refusal)
-    asked, disk = file_class(requests), file_writer._Disk
+    asked, disk = file_class(requests), file_writer.Disk
     # its own calls go to its base class by `super`, between which and it the counting class stands now
     counted = type("CountedDisk", (disk, asked), {})
     started = subprocess.Popen._execute_child
@@ -202,6 +202,6 @@ def asking(folder: Path, refusal: Refusal | None = None) -> Iterator[Requests]:
         patch.setattr(os, "access", accessing(requests, os.access))
         patch.setattr(io, "open", opener(requests, asked, io.open))
         patch.setattr(mmap, "mmap", taking_over(requests, "map", mmap.mmap))
-        patch.setattr(file_writer, "_Disk", counted)
+        patch.setattr(file_writer, "Disk", counted)
         patch.setattr(subprocess.Popen, "_execute_child", start)
         yield requests

@@ -188,8 +188,8 @@ def recovered(left, again):
 def test_in_any_order_of_failing_disks_and_dying_programs_every_tick_is_kept_and_none_is_wrong(
     monkeypatch, record_property
 ):
-    disk = type("FullDisk", (file_writer._Disk, Full), {})
-    monkeypatch.setattr(file_writer, "_Disk", disk)
+    disk = type("FullDisk", (file_writer.Disk, Full), {})
+    monkeypatch.setattr(file_writer, "Disk", disk)
     monkeypatch.setattr(file_writer, "McapWriter", partial(McapWriter, chunk_bytes=2048))
     run_state_machine_as_test(Keeping, settings=FEW)
     record_property("figures", f"keeper: {Keeping.steps} steps, {Keeping.recoveries} recoveries of what a kill left")

@@ -5,7 +5,6 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -219,23 +218,6 @@ def new_stack():
 @pytest.fixture(scope="session")
 def scripted_pipeline():
     return ScriptedPipeline
-
-
-PATIENCE_S = 30.0
-"""For what takes milliseconds on an idle machine."""
-
-
-@pytest.fixture
-def until():
-    """Waits for a condition, and fails if it does not come true."""
-
-    def wait(condition: Callable[[], object], what: str = "") -> None:
-        end = time.monotonic() + PATIENCE_S
-        while not condition():
-            assert time.monotonic() < end, f"it never came to that: {what}"
-            time.sleep(0.001)
-
-    return wait
 
 
 @pytest.fixture

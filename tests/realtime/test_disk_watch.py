@@ -65,7 +65,7 @@ def test_a_recorder_that_is_far_behind_is_said_once(watched):
 
 
 def test_a_recorder_that_has_written_is_not_behind(watched):
-    watched.words[Field.FLUSHED] = 150
+    watched.words[Field.SYNCED] = 150
     watched.ticks(300)
     assert watched.screen.texts == []
 

@@ -25,7 +25,17 @@ from inteco_abs.realtime.memory import Field, Mailbox, RunMemory
 from inteco_abs.realtime.processes import recorder
 from inteco_abs.realtime.processes.recorder import describe_board, rebuild, recover_run, run_end
 from inteco_abs.realtime.tuning import recorder_tuning
-from inteco_abs.sessions import TICK, TRUTH, FileWriter, RunHeader, SessionWriter, pack_tick, read_session, result_card
+from inteco_abs.sessions import (
+    TICK,
+    TRUTH,
+    FileWriter,
+    RunHeader,
+    SessionWriter,
+    disk,
+    pack_tick,
+    read_session,
+    result_card,
+)
 from inteco_abs.signals import Phase, Reason
 
 EVERYTHING = 1 << 30
@@ -539,7 +549,7 @@ class TestRecorder:
         until(lambda: here.memory.note(Mailbox.ENVIRONMENT), "it has looked around")
         beat = here.words[Field.RECORDER_BEAT_NS]
         here.ticks(300)
-        until(lambda: here.words[Field.FLUSHED] == 300, "they are on the disk")
+        until(lambda: here.words[Field.SYNCED] == 300, "they are on the disk")
         assert here.words[Field.RECORDER_BEAT_NS] > beat
         assert len(here.session().ticks) == 300
         here.ticks(300)  # more than there is room for without a recorder that takes
@@ -601,10 +611,10 @@ class TestRecorder:
         assert "is a folder" in here.memory.note(Mailbox.RECORDER_FAILURE)["text"]
 
     def test_each_wait_for_the_disk_that_users_should_know_of_is_noted(self, here, monkeypatch):
-        monkeypatch.setattr(recorder, "_SLOW_S", 0.0)
+        monkeypatch.setattr(disk, "_SLOW_NS", 0)
         here.ready()
         here.ticks(20)
-        here.until(lambda: here.words[Field.FLUSHED] == 20, "they are on the disk")
+        here.until(lambda: here.words[Field.SYNCED] == 20, "they are on the disk")
         here.memory.post(Mailbox.RUN_END, NORMAL)
         here.loop.kill()
         here.end()
@@ -622,7 +632,7 @@ class TestRecorder:
     def test_a_disk_that_refuses_is_reported_and_nothing_leaves_the_ring(self, here):
         here.ready()
         here.ticks(100)
-        here.until(lambda: here.words[Field.FLUSHED] == 100, "they are on the disk")
+        here.until(lambda: here.words[Field.SYNCED] == 100, "they are on the disk")
         here.job.path.unlink()
         here.ticks(100)
         here.until(lambda: here.words[Field.TROUBLES] == 1, "it says so")
@@ -643,7 +653,7 @@ class TestRecorderProcess:
         recording.ready()
         for part in range(3):
             recording.ticks(250)
-            until(lambda part=part: recording.words[Field.FLUSHED] == 250 * (part + 1), "they are on the disk")
+            until(lambda part=part: recording.words[Field.SYNCED] == 250 * (part + 1), "they are on the disk")
         recording.process.kill()
         recording.process.wait()
         recording.ticks(400)
@@ -656,14 +666,14 @@ class TestRecorderProcess:
 
 SLOW = """
 import os, sys, time
-sync = os.fsync
+sync = os.fdatasync
 def slow(file):
     if slow.calls == 1:
         time.sleep(1.5)
     slow.calls += 1
     sync(file)
 slow.calls = 0
-os.fsync = slow
+os.fdatasync = slow
 from inteco_abs.realtime.processes.recorder import main
 sys.exit(main(sys.argv[1]))
 """
@@ -674,7 +684,7 @@ class TestDisk:
     def test_what_is_not_in_the_file_stays_in_the_ring(self, recording, until):
         recording.ready()
         recording.ticks(100)
-        until(lambda: recording.words[Field.FLUSHED] == 100, "they are on the disk")
+        until(lambda: recording.words[Field.SYNCED] == 100, "they are on the disk")
         until(lambda: recording.memory.tick_reader().taken == 100, "the ring is free again")
         recording.process.send_signal(signal.SIGSTOP)
         recording.ticks(50)
@@ -685,13 +695,16 @@ class TestDisk:
         slow = Recording(memory, job_of(memory), child, until, SLOW)
         slow.ready()
         slow.ticks(100)
-        until(lambda: memory.tick_reader().written - memory.words[Field.FLUSHED] == 100, "it waits for the disk")
+        until(lambda: memory.tick_reader().written - memory.words[Field.SYNCED] == 100, "it waits for the disk")
         time.sleep(0.3)
         waiting = [memory.words[Field.RECORDER_BEAT_NS]]
         until(lambda: memory.words[Field.RECORDER_BEAT_NS] > waiting[0], "it shows that it is alive")
-        assert memory.words[Field.FLUSHED] == 0
+        assert memory.words[Field.SYNCED] == 0
         slow.ticks(200)
-        until(lambda: memory.words[Field.FLUSHED] == 300, "the disk has taken it all")
+        until(lambda: memory.tick_reader().taken == 300, "it writes on")
+        assert memory.words[Field.SYNCED] == 0
+        assert len(slow.session().ticks) == 300
+        until(lambda: memory.words[Field.SYNCED] == 300, "the disk has taken it all")
         memory.post(Mailbox.RUN_END, NORMAL)
         slow.loop.kill()
         assert slow.end()["card"]["lost_ticks"] == 0
@@ -732,11 +745,11 @@ class TestDisk:
         recording.ready()
         for part in range(3):
             recording.ticks(200)
-            until(lambda part=part: recording.words[Field.FLUSHED] == 200 * (part + 1), "they are on the disk")
+            until(lambda part=part: recording.words[Field.SYNCED] == 200 * (part + 1), "they are on the disk")
         posted = self.vanish(recording, until)
         spilt = tmp_path / "spill" / "stop.mcap"
         assert posted["file"] == str(spilt)
-        until(lambda: recording.words[Field.FLUSHED] == 700, "they are on the other disk")
+        until(lambda: recording.words[Field.SYNCED] == 700, "they are on the other disk")
         if killed:
             recording.process.kill()
             recording.process.wait()

@@ -341,7 +341,7 @@ class TestLongerThanItsMemory:
             raise SessionError("no space left")
 
         with monkeypatch.context() as patch, pytest.raises(SessionError, match="Its ticks are kept in"):
-            disturbed(by=lambda: patch.setattr(file_writer._Disk, "write", refuse))
+            disturbed(by=lambda: patch.setattr(file_writer.Disk, "write", refuse))
         account = recover_run(rings(), tmp_path / "saved.mcap")
         session = read_session(tmp_path / "saved.mcap")
         assert (account.reason, account.card["lost_ticks"]) == (Reason.RECORDER_LOST, 0)

@@ -5,6 +5,7 @@ import os
 import shutil
 from functools import partial
 from pathlib import Path
+from threading import Event, Thread
 
 import pytest
 
@@ -278,37 +279,115 @@ def test_warnings_are_in_the_log_of_the_file_that_is_used_last(kept):
 class TestSync:
     @pytest.fixture
     def synced(self, monkeypatch):
-        """Sizes of the file whenever the disk was waited for."""
-        sizes, sync = [], os.fsync
-        monkeypatch.setattr(os, "fsync", lambda file: (sizes.append(os.fstat(file).st_size), sync(file)))
-        return sizes
+        """Sizes of the file whenever a sync of it began; `Gate.open` lets it go on."""
+        gate, sync = Gate(), os.fdatasync
+        monkeypatch.setattr(os, "fdatasync", lambda file: (gate.passed(os.fstat(file).st_size), sync(file)))
+        yield gate
+        gate.open.set()
 
-    def test_every_change_of_phase_and_the_end_are_synced_and_nothing_else(self, kept, synced):
+    def test_the_header_every_flush_and_the_end_reach_the_disk(self, kept, synced, until):
         run = kept(durable=True).introduce()
-        assert len(synced) == 1
-        phases = TICK.array(run.payload)["phase"]
-        rows = -(-len(phases) // SLICES)
-        slices = [phases[max(at - 1, 0) : at + rows] for at in range(0, len(phases), rows)]
-        changing = sum(len(set(each.tolist())) > 1 or not at for at, each in enumerate(slices))
-        assert 2 < changing < SLICES
-        run.add_all()
-        assert len(synced) == 1 + changing
+        assert synced.sizes == [run.out.stat().st_size]
+        for _ in range(SLICES):
+            run.slice()
+            until(lambda: run.keeper.synced == run.keeper.ticks, "it is on the disk")
+            assert synced.sizes[-1] == run.out.stat().st_size
         run.conclude()
-        assert synced[-1] == run.out.stat().st_size
+        assert (len(synced.sizes), synced.sizes[-1]) == (SLICES + 2, run.out.stat().st_size)
+        assert run.said == []
 
-    def test_a_run_in_virtual_time_waits_for_no_disk(self, kept, synced):
-        kept().introduce().add_all().conclude()
-        assert synced == []
-
-    def test_a_disk_that_fails_to_sync_refuses(self, kept, monkeypatch):
+    def test_writing_does_not_wait_for_a_disk_that_hangs_and_the_end_does(self, kept, synced, until):
         run = kept(durable=True).introduce()
+        synced.open.clear()
+        run.add_all()
+        assert len(read_session(run.out).ticks) == run.keeper.ticks
+        until(lambda: len(synced.sizes) == 2, "it waits for the disk")
+        assert run.keeper.synced == 0
+        ending = Thread(target=run.conclude)
+        ending.start()
+        until(lambda: not read_session(run.out).incomplete, "the file is complete")
+        assert ending.is_alive()
+        synced.open.set()
+        ending.join()
+        assert (len(synced.sizes), synced.sizes[-1]) == (3, run.out.stat().st_size)  # one for all that came meanwhile
+        whole(run.out, run)
 
-        def fail(_file):
-            raise OSError(5, "Input/output error")
+    def test_the_folder_is_synced_with_the_header_so_that_the_files_name_is_on_the_disk(self, kept, monkeypatch):
+        folders, sync = [], os.fsync
+        monkeypatch.setattr(
+            os, "fsync", lambda file: (folders.append(Path(f"/proc/self/fd/{file}").readlink()), sync(file))
+        )
+        run = kept(durable=True).introduce()
+        assert folders == [run.out.parent]
+        run.add_all().conclude()
+        assert folders == [run.out.parent]
 
-        monkeypatch.setattr(os, "fsync", fail)
+    def test_a_folder_that_its_file_system_cannot_sync_is_no_error(self, kept, monkeypatch):
+        monkeypatch.setattr(os, "fsync", refusing(errno.EINVAL))
+        run = kept(durable=True).introduce().add_all()
+        assert run.conclude().trouble == ""
+
+    def test_a_run_in_virtual_time_syncs_nothing(self, kept, synced):
+        kept().introduce().add_all().conclude()
+        assert synced.sizes == []
+
+    @pytest.mark.parametrize("call", ["fdatasync", "fsync"])
+    def test_a_disk_that_fails_to_sync_the_header_refuses_the_run(self, kept, monkeypatch, call):
+        run = kept(durable=True)
+        monkeypatch.setattr(os, call, refusing(errno.EIO))
+        with pytest.raises(SessionError, match="cannot be written: Input/output error; the rig was not moved"):
+            run.introduce()
+        assert not run.out.exists()
+
+    def test_a_disk_that_fails_to_sync_is_left_for_the_second_one_with_all_ticks(self, kept, monkeypatch, until):
+        run = kept(durable=True).introduce()
         run.slice()
-        assert "cannot be written: Input/output error" in run.said[0][0]
+        until(lambda: run.keeper.synced == run.keeper.ticks, "it is on the disk")
+        failed, sync = [], os.fdatasync
+
+        def fail(file):
+            if Path(f"/proc/self/fd/{file}").readlink() == run.out:
+                failed.append(file)
+                raise OSError(errno.EIO, os.strerror(errno.EIO))
+            sync(file)
+
+        monkeypatch.setattr(os, "fdatasync", fail)
+        run.slice()
+        until(lambda: failed, "the disk has failed")
+        for _ in range(SLICES - 2):
+            run.slice()
+        assert "cannot be written: Input/output error; the run continues, and it is now written to" in run.said[0][0]
+        run.conclude()
+        whole(run.spill, run)
+
+    def test_a_disk_that_fails_to_sync_at_the_end_is_left_too(self, kept, monkeypatch, until):
+        run = kept(durable=True).introduce().add_all()
+        until(lambda: run.keeper.synced == run.keeper.ticks, "it is on the disk")
+        monkeypatch.setattr(os, "fdatasync", refusing(errno.EIO))
+        with run.keeper, pytest.raises(SessionError, match="Input/output error"):
+            run.keeper.finish(RunEnd(Reason.NONE, run.keeper.ticks))
+
+
+class Gate:
+    """Notes the sizes of a file that is synced, and lets syncs go on only while it is open."""
+
+    def __init__(self):
+        self.sizes = []
+        self.open = Event()
+        self.open.set()
+
+    def passed(self, size):
+        self.sizes.append(size)
+        self.open.wait(30)
+
+
+def refusing(number):
+    """A call that always fails with an error number."""
+
+    def call(_file):
+        raise OSError(number, os.strerror(number))
+
+    return call
 
 
 class TestSpill:

@@ -460,7 +460,7 @@ def test_a_line_of_the_log_that_cannot_be_read_costs_no_tick(rescue, container, 
 
 def test_the_disk_has_all_of_it_before_it_gets_its_name(short, tmp_path, monkeypatch):
     out, at_the_last = tmp_path / "out.mcap", []
-    monkeypatch.setattr(os, "fsync", lambda number: at_the_last.append((os.fstat(number).st_size, out.exists())))
+    monkeypatch.setattr(os, "fdatasync", lambda number: at_the_last.append((os.fstat(number).st_size, out.exists())))
     recover_session(short, out)
     assert at_the_last[-1] == (out.stat().st_size, False)
 

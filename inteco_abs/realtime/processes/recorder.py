@@ -52,7 +52,6 @@ from inteco_abs.signals import Reason
 
 _DRAIN_S: Final = 0.005
 _FLUSH_S: Final = 0.1
-_SLOW_S: Final = 1.0
 _RESCUE_S: Final = 20.0
 """The guardian tries for 5 s, and the supervisor in its place after that."""
 _LONGEST_START_S: Final = 120.0
@@ -171,15 +170,13 @@ class _Drain:
         _count(self._memory, ticks)
 
     def _flush(self) -> None:
-        began_ns = time.monotonic_ns()
         self._writer.flush()
-        took_s = (time.monotonic_ns() - began_ns) * 1e-9
-        if took_s > _SLOW_S:
-            text = f"the disk took {took_s:.1f} s to flush, which comes ten times a second; no tick was lost"
+        for began_ns, took_ns in self._writer.slow_syncs():
+            text = f"the disk took {took_ns * 1e-9:.1f} s to sync, which comes ten times a second; no tick was lost"
             self._writer.warn(self._memory.words[Field.EPOCH_NS] + began_ns, text)
         if self._writer.writing:
             self._window.release()
-            self._memory.words[Field.FLUSHED] = self._writer.ticks
+            self._memory.words[Field.SYNCED] = self._writer.synced
 
 
 def _count(memory: RunMemory, ticks: bytes) -> None:
