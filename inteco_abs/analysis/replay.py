@@ -17,7 +17,7 @@ from inteco_abs.analysis.tolerance import DISCRETE, OUTPUTS, Array, Shift, Toler
 from inteco_abs.control import Pipeline
 from inteco_abs.errors import SessionError
 from inteco_abs.format import TICK, Role
-from inteco_abs.sessions import RECOVERED, Session
+from inteco_abs.sessions import RECOVERED, Session, other_arithmetic
 from inteco_abs.signals import BoardFlags, Phase, Reason, Sample
 
 _INPUTS: Final = tuple(column.name for column in TICK.columns if column.role is Role.INPUT)
@@ -60,6 +60,8 @@ class Replay:
     """Number of ticks that differ within the tolerance, by field."""
     shifts: tuple[Shift, ...] = ()
     """Changes of phases, flags and reasons that come early, late, or not at all."""
+    arithmetic: dict[str, dict[str, str]] = field(default_factory=dict)
+    """Where ticks differ, how this computer's arithmetic does: `recorded` and `here`, as `other_arithmetic`."""
 
 
 def before_the_gap(session: Session) -> Session:
@@ -130,6 +132,7 @@ def replay_session(
         (int(logged["time_ns"][agreeing - 1]) - int(logged["time_ns"][0])) * 1e-9 if agreeing else 0.0,
         {name: count for name, count in tolerated.items() if count},
         tuple(shift for name in DISCRETE if name in differs for shift in shifts(name, logged, again)),
+        other_arithmetic(session.metadata.get("software", {})) if first else {},
     )
 
 

@@ -160,6 +160,8 @@ def _report(goldens: GoldenFolder, kept: Golden, *, as_json: bool) -> None:
 
 
 def _line(verdict: GoldenResult) -> str:
+    from inteco_abs.sessions import describe_other_arithmetic
+
     if verdict.replay is None:
         return f"{verdict.name}: cannot be tested: {verdict.problem}"
     first = verdict.replay.first
@@ -167,4 +169,6 @@ def _line(verdict: GoldenResult) -> str:
         return f"{verdict.name}: {verdict.replay.ticks} ticks replayed, none differ"
     count = f"{verdict.replay.differing} of {verdict.replay.ticks} ticks differ"
     was, now = f"{first.logged} ({first.logged_hex})", f"{first.replayed} ({first.replayed_hex})"
-    return f"{verdict.name}: {count}, first at tick {first.tick}: {first.field} was {was}, is {now}"
+    other = verdict.replay.arithmetic
+    why = f"; {describe_other_arithmetic(other)}" if other else ""
+    return f"{verdict.name}: {count}, first at tick {first.tick}: {first.field} was {was}, is {now}{why}"

@@ -153,6 +153,8 @@ def _report_other(origin: Origin, source: bytes | None, package: str) -> None:
 
 
 def _print_replay(file: Path, outcome: Replay, gains: Mapping[str, Any]) -> None:
+    from inteco_abs.sessions import describe_other_arithmetic
+
     for name, change in gains.items():
         was, now = (change[when] or "not there" for when in ("recorded", "configured"))
         say(f"{file}: the gain {name} was {was} in the run ({change['where']}) and is {now} now")
@@ -170,6 +172,8 @@ def _print_replay(file: Path, outcome: Replay, gains: Mapping[str, Any]) -> None
             say(f"  {name}: {count} ticks")
     for shift in outcome.shifts:
         say(f"  {_words(shift)}")
+    if outcome.arithmetic:
+        say(f"  {describe_other_arithmetic(outcome.arithmetic)}")
 
 
 def _words(shift: Shift) -> str:

@@ -18,6 +18,7 @@ from inteco_abs.sessions.files import (
     require_own_file,
     write_file,
 )
+from inteco_abs.sessions.fingerprint import describe_other_arithmetic, other_arithmetic
 from inteco_abs.sessions.frames import Frames, read_frames
 from inteco_abs.sessions.metrics import LOCKED_SLIP, LOWEST_RAD_S, STANDSTILL_RAD_S, Array, StopTrace, stop_metrics
 from inteco_abs.sessions.migration import Metadata, newer
@@ -77,6 +78,7 @@ __all__ = [
     "check_output",
     "check_spill",
     "current_environment",
+    "describe_other_arithmetic",
     "ensured_directory",
     "export_session",
     "extract",
@@ -87,6 +89,7 @@ __all__ = [
     "nearest_folder",
     "newer",
     "opened",
+    "other_arithmetic",
     "pack_tick",
     "profile_source",
     "read_frames",

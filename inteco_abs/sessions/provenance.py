@@ -10,19 +10,18 @@ from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 
-from inteco_abs import elementary
 from inteco_abs.config import RigConfig, profile_text, profiles
+from inteco_abs.sessions.fingerprint import arithmetic_facts
 from inteco_abs.version import SOURCE_FOLDER, __version__
 
 
 def software_facts() -> dict[str, str]:
-    """Versions of the program and its packages, and the state of the source tree if there is one."""
+    """Versions of the program and its packages, its arithmetic, and the state of the source tree if there is one."""
     packages = {f"package.{name}": version(name) for name in ("mcap", "numpy", "pydantic")}
     return {
         "version": __version__,
         "python": platform.python_version(),
-        "libc": " ".join(platform.libc_ver()),
-        "arithmetic": elementary.PORTABLE,
+        **arithmetic_facts(),
         "argv": " ".join(sys.argv),
         **packages,
         **_git_facts(SOURCE_FOLDER),
