@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, ClassVar, Final
 
@@ -121,7 +121,8 @@ def _constant(_controller: Any, constant: float) -> float:
 
 def reference_function(controller: object) -> Callable[[Any, float], float]:
     """What gives the slip that a controller holds now, of it, or of its record, and the slip to hold if constant."""
-    return _followed if isinstance(controller, FollowingController) else _constant
+    # one inside of a wrapper that passes its attributes on counts as well
+    return _followed if isinstance(getattr(controller, "k", None), ReferenceConstants) else _constant
 
 
 def check_reference(name: str, kind: type, table: Mapping[str, Any]) -> Iterator[ConfigIssue]:
@@ -134,8 +135,11 @@ def check_reference(name: str, kind: type, table: Mapping[str, Any]) -> Iterator
         yield ConfigIssue(f"controller.{given[0] if points is None else _POINTS}", problem)
         return
     at = table[given[0]]
-    if not (is_dataclass(kind) and "reference" in {field.name for field in fields(kind)}):
-        problem = f"{name} holds a constant slip only: choose another controller, or controller.reference_slip"
+    if not hasattr(kind, "reference"):
+        problem = (
+            f"{name} holds a constant slip only: declare `reference = 0.0` in its class and read self.reference in "
+            "each update, choose another controller, or give controller.reference_slip"
+        )
         yield ConfigIssue(f"controller.{_POINTS}", problem)
     if not (isinstance(at, list) and isinstance(points, list)):
         return  # the types are checked by the section

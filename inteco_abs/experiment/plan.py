@@ -100,12 +100,6 @@ def require_mock_board(board: str) -> None:
 def _require_origin(config: RigConfig, plan: Plan) -> None:
     if config.controller.name in CONTROLLERS:
         return
-    if config.controller.constant_slip is None:
-        problem = (
-            "in real time a controller from a file or package runs in a process of its own and holds a constant slip: "
-            "use --virtual, or controller.reference_slip"
-        )
-        raise ConfigError.of("controller.reference_points", problem)
     if not (plan.controller_source or plan.controller_package):
         problem = (
             f"{config.controller.name!r}: in real time a controller must come from a file, as file.py:Class, "

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from inteco_abs.control import Gain
-from inteco_abs.published.base import PublishedLaw, demand, duty_of, limited, terms
+from inteco_abs.published.base import PublishedLaw, PublishedState, demand, duty_of, limited, terms
 from inteco_abs.signals import BrakeDemand, Estimate
 
 _ADAPTIVE = (
@@ -26,14 +26,14 @@ _ADAPTIVE = (
 
 
 @dataclass(slots=True)
-class AdaptiveState:
+class AdaptiveState(PublishedState):
     grown: float = 0.0
     torque: float = 0.0
 
 
 def _adaptive(k: Any, s: Any, estimate: Estimate, dt_s: float, proportional: float) -> BrakeDemand:
     _, speed, slip, valid, _ = estimate
-    error = slip - k.reference
+    error = slip - s.reference
     if valid and speed > k.hold_below:
         f, g = terms(k, slip, speed)
         s.grown += (k.gamma * abs(error) - k.leak * s.grown) * dt_s

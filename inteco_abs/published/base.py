@@ -17,14 +17,21 @@ _LEAST_SPEED_RAD_S = 1.0
 class LawConstants:
     """Constants of every published law; each adds its gains by their names."""
 
-    reference: float
     hold_below: float
     """Road speed below which a law with a model holds its last demand, rad/s."""
     model: SlipConstants
 
 
-class PublishedLaw:
-    """A law as `function` of constants, state, estimate and time; it also derives from the state, a dataclass."""
+@dataclass(slots=True)
+class PublishedState:
+    """State of every published law; each adds its own, all of it with defaults."""
+
+    reference: float = 0.0
+    """Slip to hold now."""
+
+
+class PublishedLaw(PublishedState):
+    """A law as `function` of constants, state, estimate and time; it also derives from its state, a dataclass."""
 
     gains: ClassVar[tuple[Gain, ...]]
     internals: ClassVar[tuple[str, ...]] = ()
@@ -39,9 +46,9 @@ class PublishedLaw:
         cls._constants = make_dataclass(cls.__name__, own, bases=(cls.constants,), frozen=True, slots=True)
 
     def __init__(self, setup: Setup, **gains: float) -> None:
-        super().__init__()
+        super().__init__(reference=setup.reference_slip)
         model = BrakingModel(setup.parameters)
-        self.k = self._constants(setup.reference_slip, setup.hold_below_rad_s, model, **gains)
+        self.k = self._constants(setup.hold_below_rad_s, model, **gains)
 
     def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:
         """Demand of the law."""

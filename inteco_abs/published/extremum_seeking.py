@@ -16,7 +16,7 @@ from typing import Any
 
 from inteco_abs import elementary
 from inteco_abs.control import Gain
-from inteco_abs.published.base import PublishedLaw, demand
+from inteco_abs.published.base import PublishedLaw, PublishedState, demand
 from inteco_abs.signals import BrakeDemand, Estimate
 
 _SLOW = 0.2
@@ -25,7 +25,7 @@ _LOW, _HIGH = 0.02, 0.9
 
 
 @dataclass(slots=True)
-class SeekingState:
+class SeekingState(PublishedState):
     phase: float = 0.0
     speed: float = 0.0
     deceleration: float = 0.0
@@ -48,13 +48,13 @@ def extremum_seeking(k: Any, s: Any, estimate: Estimate, dt_s: float) -> BrakeDe
     s.speed += 3.0 * w * (speed - s.speed) * dt_s
     s.mean += _SLOW * w * (s.deceleration - s.mean) * dt_s
     s.moved += k.climb * (s.deceleration - s.mean) * sine * dt_s
-    s.moved = min(max(s.moved, _LOW - k.reference), _HIGH - k.reference)
-    sought = k.reference + s.moved
+    s.moved = min(max(s.moved, _LOW - s.reference), _HIGH - s.reference)
+    sought = s.reference + s.moved
     error = sought + k.sway * sine - slip
     duty = k.bias + k.Kp * error + s.integral
     if 0.0 < duty < 1.0 or (duty >= 1.0) != (error > 0.0):
         s.integral += k.Ki * error * dt_s
-    return demand(duty, 0.0, slip - k.reference, sought)
+    return demand(duty, 0.0, slip - s.reference, sought)
 
 
 class ExtremumSeeking(PublishedLaw, SeekingState):

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from inteco_abs import elementary
-from inteco_abs.published.base import LawConstants, PublishedLaw, demand, limited
+from inteco_abs.published.base import LawConstants, PublishedLaw, PublishedState, demand, limited
 from inteco_abs.published.fitted_q_weights import LAYERS
 from inteco_abs.signals import BrakeDemand, Estimate
 
@@ -43,7 +43,7 @@ class NetworkConstants(LawConstants):
 
 
 @dataclass(slots=True)
-class PolicyState:
+class PolicyState(PublishedState):
     inputs: list[float] = field(default_factory=lambda: [0.0] * len(INPUTS))
     inner: list[float] = field(default_factory=lambda: [0.0] * len(LAYERS[0]))
     duties: list[float] = field(default_factory=lambda: [0.0] * 3)
@@ -79,7 +79,7 @@ def _network(k: Any, s: Any) -> float:
 def fitted_q(k: Any, s: Any, estimate: Estimate, dt_s: float) -> BrakeDemand:
     """Change the duty by what the network says, once in HOLD_S."""
     _, speed, slip, _, _ = estimate
-    error = slip - k.reference
+    error = slip - s.reference
     s.since_s += dt_s
     if not s.started or s.since_s + 0.5 * dt_s > HOLD_S:
         if not s.started:

@@ -17,12 +17,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from inteco_abs.control import Gain
-from inteco_abs.published.base import PublishedLaw, demand
+from inteco_abs.published.base import PublishedLaw, PublishedState, demand
 from inteco_abs.signals import BrakeDemand, Estimate
 
 
 @dataclass(slots=True)
-class PhasesState:
+class PhasesState(PublishedState):
     duty: float = 0.4
     """At first where the brake's torque begins."""
     phase: float = 1.0
@@ -58,7 +58,7 @@ def five_phase(k: Any, s: Any, estimate: Estimate, dt_s: float) -> BrakeDemand:
     elif s.phase == 5.0:
         s.duty += k.slow_rise_per_s * dt_s
     s.duty = min(max(s.duty, 0.0), 1.0)
-    return demand(s.duty, 0.0, slip - k.reference, s.phase)
+    return demand(s.duty, 0.0, slip - s.reference, s.phase)
 
 
 class FivePhase(PublishedLaw, PhasesState):

@@ -16,7 +16,7 @@ from typing import Any
 
 from inteco_abs import elementary
 from inteco_abs.control import Gain
-from inteco_abs.published.base import PublishedLaw, demand, duty_of, limited, terms
+from inteco_abs.published.base import PublishedLaw, PublishedState, demand, duty_of, limited, terms
 from inteco_abs.signals import BrakeDemand, Estimate
 
 _LENGTH = 5
@@ -24,7 +24,7 @@ _LEAST = 1e-9
 
 
 @dataclass(slots=True)
-class GreyState:
+class GreyState(PublishedState):
     slips: list[float] = field(default_factory=lambda: [0.0] * _LENGTH)
     """Oldest first."""
     since_s: float = 0.0
@@ -62,11 +62,11 @@ def grey_sliding(k: Any, s: Any, estimate: Estimate, dt_s: float) -> BrakeDemand
             s.slips[i] = s.slips[i + 1]
         s.slips[_LENGTH - 1] = slip
         s.predicted = predict(s.slips, k.steps)
-    error = s.predicted - k.reference
+    error = s.predicted - s.reference
     if valid and speed > k.hold_below:
         f, g = terms(k, slip, speed)
         s.torque = -(f + k.K * error / (abs(error) + k.delta)) / g
-    return demand(duty_of(k, s.torque), s.torque, slip - k.reference, s.predicted)
+    return demand(duty_of(k, s.torque), s.torque, slip - s.reference, s.predicted)
 
 
 class GreySliding(PublishedLaw, GreyState):

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from inteco_abs.control import Gain
-from inteco_abs.published.base import PublishedLaw, demand
+from inteco_abs.published.base import PublishedLaw, PublishedState, demand
 from inteco_abs.signals import BrakeDemand, Estimate
 
 
 @dataclass(slots=True)
-class IntelligentState:
+class IntelligentState(PublishedState):
     slip: float = 0.0
     slip_rate: float = 0.0
     filtered: float = 0.0
@@ -35,7 +35,7 @@ def intelligent_pd(k: Any, s: Any, estimate: Estimate, dt_s: float) -> BrakeDema
     s.filtered_rate += (w * w * (s.duty - s.filtered) - 2.0 * w * s.filtered_rate) * dt_s
     s.filtered += s.filtered_rate * dt_s
     unknown = second - k.alpha * s.filtered
-    error = estimate.slip - k.reference
+    error = estimate.slip - s.reference
     wanted = -(unknown + k.Kp * error + k.Kd * s.slip_rate) / k.alpha
     s.duty = min(max(wanted, 0.0), 1.0)
     return demand(s.duty, 0.0, error, unknown)

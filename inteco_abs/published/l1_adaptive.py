@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from inteco_abs.control import Gain
-from inteco_abs.published.base import PublishedLaw, demand, duty_of, limited, terms
+from inteco_abs.published.base import PublishedLaw, PublishedState, demand, duty_of, limited, terms
 from inteco_abs.signals import BrakeDemand, Estimate
 
 _MOST_NM = 8.0
@@ -21,7 +21,7 @@ _MOST_NM = 8.0
 
 
 @dataclass(slots=True)
-class L1State:
+class L1State(PublishedState):
     predicted: float = 0.0
     sigma: float = 0.0
     filtered: float = 0.0
@@ -32,9 +32,9 @@ class L1State:
 def l1_adaptive(k: Any, s: Any, estimate: Estimate, dt_s: float) -> BrakeDemand:
     """Predictor, adaptation, filter."""
     _, speed, slip, valid, _ = estimate
-    error = slip - k.reference
+    error = slip - s.reference
     if valid and speed > k.hold_below:
-        f, g = terms(k, k.reference, speed)
+        f, g = terms(k, s.reference, speed)
         held = -f / g
         if not s.started:
             s.predicted, s.started = error, True

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from inteco_abs.control import Gain
-from inteco_abs.published.base import PublishedLaw, demand, duty_of, terms
+from inteco_abs.published.base import PublishedLaw, PublishedState, demand, duty_of, terms
 from inteco_abs.signals import BrakeDemand, Estimate
 
 _STEP = 0.01
@@ -24,7 +24,7 @@ _STEP = 0.01
 
 
 @dataclass(slots=True)
-class LqrState:
+class LqrState(PublishedState):
     integral: float = 0.0
     torque: float = 0.0
 
@@ -32,12 +32,12 @@ class LqrState:
 def lqr(k: Any, s: Any, estimate: Estimate, dt_s: float) -> BrakeDemand:
     """State feedback around the torque that holds the reference."""
     _, speed, slip, valid, _ = estimate
-    error = slip - k.reference
+    error = slip - s.reference
     if valid and speed > k.hold_below:
-        f, beta = terms(k, k.reference, speed)
+        f, beta = terms(k, s.reference, speed)
         held = -f / beta
-        f_more, g_more = terms(k, k.reference + _STEP, speed)
-        f_less, g_less = terms(k, k.reference - _STEP, speed)
+        f_more, g_more = terms(k, s.reference + _STEP, speed)
+        f_less, g_less = terms(k, s.reference - _STEP, speed)
         alpha = (f_more + g_more * held - f_less - g_less * held) / (2.0 * _STEP)
         k1 = math.sqrt(k.q1)
         k2 = (alpha + math.sqrt(alpha * alpha + 2.0 * beta * k1 + beta * beta * k.q2)) / beta

@@ -18,14 +18,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from inteco_abs.control import Gain
-from inteco_abs.published.base import PublishedLaw, demand, duty_of, limited, terms
+from inteco_abs.published.base import PublishedLaw, PublishedState, demand, duty_of, limited, terms
 from inteco_abs.signals import BrakeDemand, Estimate
 
 _MOST_NM = 20.0
 
 
 @dataclass(slots=True)
-class VarianceState:
+class VarianceState(PublishedState):
     since_s: float = 0.0
     slip: float = 0.0
     rate: float = 0.0
@@ -45,11 +45,11 @@ def minimum_variance(k: Any, s: Any, estimate: Estimate, dt_s: float) -> BrakeDe
         if s.started:
             missed = (slip - s.slip) / s.since_s - s.rate
             s.missing += k.learn * (missed - s.missing)
-        wanted = -(f + s.missing + k.share * (slip - k.reference) / k.period_s) / g
+        wanted = -(f + s.missing + k.share * (slip - s.reference) / k.period_s) / g
         weight = g * g * k.period_s * k.period_s
         s.torque = limited((weight * wanted + k.rho * s.torque) / (weight + k.rho), _MOST_NM)
         s.slip, s.rate, s.since_s, s.started = slip, f + g * max(s.torque, 0.0), 0.0, True
-    return demand(duty_of(k, s.torque), s.torque, slip - k.reference, s.missing)
+    return demand(duty_of(k, s.torque), s.torque, slip - s.reference, s.missing)
 
 
 class MinimumVariance(PublishedLaw, VarianceState):

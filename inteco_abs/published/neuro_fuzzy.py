@@ -17,7 +17,7 @@ from typing import Any
 
 from inteco_abs import elementary
 from inteco_abs.control import Gain
-from inteco_abs.published.base import PublishedLaw, demand, limited
+from inteco_abs.published.base import PublishedLaw, PublishedState, demand, limited
 from inteco_abs.signals import BrakeDemand, Estimate
 
 _SETS = 3
@@ -26,7 +26,7 @@ _FULL = 0.05
 
 
 @dataclass(slots=True)
-class NetworkState:
+class NetworkState(PublishedState):
     weights: list[float] = field(default_factory=lambda: [0.0] * (_SETS * _SETS))
     strengths: list[float] = field(default_factory=lambda: [0.0] * (_SETS * _SETS))
     slip: float = 0.0
@@ -42,7 +42,7 @@ def _member(value: float, number: int) -> float:
 
 def neuro_fuzzy(k: Any, s: Any, estimate: Estimate, dt_s: float) -> BrakeDemand:
     """PD minus the network, which learns from the PD."""
-    error = k.reference - estimate.slip
+    error = s.reference - estimate.slip
     if not s.started:
         s.slip, s.started = estimate.slip, True
     slip_rate = k.filter_rad_s * (estimate.slip - s.slip)

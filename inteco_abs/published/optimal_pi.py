@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from inteco_abs.control import Gain
-from inteco_abs.published.base import PublishedLaw, demand, limited
+from inteco_abs.published.base import PublishedLaw, PublishedState, demand, limited
 from inteco_abs.signals import BrakeDemand, Estimate
 
 _PI = (
@@ -28,7 +28,7 @@ _PI = (
 
 
 @dataclass(slots=True)
-class IncrementalState:
+class IncrementalState(PublishedState):
     duty: float = 0.0
     error: float = 0.0
     started: bool = False
@@ -36,7 +36,7 @@ class IncrementalState:
 
 def _increments(k: Any, s: Any, slip: float, dt_s: float) -> tuple[float, float]:
     """Increment of the error, and its part of the integral; the first increment is 0."""
-    error = k.reference - slip
+    error = s.reference - slip
     change = error - s.error if s.started else 0.0
     s.error, s.started = error, True
     return change, error * dt_s / k.Ti

@@ -25,7 +25,7 @@ from typing import Any
 
 from inteco_abs import elementary
 from inteco_abs.control import Gain
-from inteco_abs.published.base import PublishedLaw, demand, duty_of, limited, terms
+from inteco_abs.published.base import PublishedLaw, PublishedState, demand, duty_of, limited, terms
 from inteco_abs.rig import brake_torque
 from inteco_abs.signals import BrakeDemand, Estimate
 
@@ -42,7 +42,7 @@ _MOST_NM = 8.0
 
 
 @dataclass(slots=True)
-class PredictiveState:
+class PredictiveState(PublishedState):
     pending: list[float] = field(default_factory=lambda: [0.0] * _PENDING)
     """A ring of torques in N m."""
     newest: int = 0
@@ -85,7 +85,7 @@ def model_predictive(k: Any, s: Any, estimate: Estimate, dt_s: float) -> BrakeDe
         s.torque = _solve(k, s, slip_then, speed_then, acting, deceleration)
     s.newest = (s.newest + 1) % _PENDING
     s.pending[s.newest] = s.torque
-    return demand(duty_of(k, s.torque), s.torque, slip - k.reference, s.missed)
+    return demand(duty_of(k, s.torque), s.torque, slip - s.reference, s.missed)
 
 
 def _observe(k: Any, s: Any, slip: float, speed: float, arriving: float, dt_s: float) -> None:
@@ -125,7 +125,7 @@ def _solve(k: Any, s: Any, slip: float, speed: float, acting: float, deceleratio
         other = _step(k, other, speed, 0.5 * (other_before + other_acting) + s.missed, duration_s)
         speed -= deceleration * duration_s
         slope = (other - slip) / _NUDGE_NM
-        slope_error += slope * (slip - k.reference)
+        slope_error += slope * (slip - s.reference)
         slopes += slope * slope
     found: float = min(max(s.torque - slope_error / slopes, 0.0), brake_torque(1.0, k.model.parameters))
     return found

@@ -2,6 +2,7 @@
 
 import importlib
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -28,6 +29,16 @@ BY_DEFAULT = {"grey-sliding", "neuro-fuzzy"}
 )
 def test_a_compiled_stop_has_the_bits_of_python(name):
     config = Law(name, name, "kalman").config(KNOWN)
+    (compiled,) = run_all([Experiment(RIGS, config, ConfiguredPolicy(config), 165.0)])
+    assert compiled.errors == ("",)
+    assert compiled.metrics.tobytes() == time_decisions(config, RIGS, KNOWN).stops.metrics.tobytes()
+
+
+def test_a_compiled_stop_follows_a_changing_reference_with_the_bits_of_python():
+    config = Law("lqr", "lqr", "kalman").config(KNOWN)
+    config = replace(
+        config, controller=replace(config.controller, reference_points=[0.3, 0.1], reference_at_rad_s=[20.0, 90.0])
+    )
     (compiled,) = run_all([Experiment(RIGS, config, ConfiguredPolicy(config), 165.0)])
     assert compiled.errors == ("",)
     assert compiled.metrics.tobytes() == time_decisions(config, RIGS, KNOWN).stops.metrics.tobytes()

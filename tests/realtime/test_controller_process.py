@@ -122,6 +122,17 @@ def test_it_answers_with_the_same_bits_as_in_this_process(law):
 
 
 @pytest.mark.usefixtures("patient")
+def test_it_gets_the_reference_of_now_and_so_does_its_copy(isolate):
+    _, controllers = isolate("return BrakeDemand(self.reference)")
+    following = replace(named().controller, reference_points=[0.3, 0.1], reference_at_rad_s=[20.0, 60.0])
+    first = make_controller(replace(named(), controller=following), controllers)
+    for _ in range(2):
+        controller = deepcopy(first)
+        brakes = [controller.update(Estimate(speed, speed, 0.0, True), 5e-4).brake for speed in (90.0, 40.0, 10.0)]
+        assert brakes == [0.1, pytest.approx(0.2), 0.3]
+
+
+@pytest.mark.usefixtures("patient")
 def test_it_has_the_files_that_were_kept_with_its_source():
     source = LAW.format("from my_gains import K", "pass", "return BrakeDemand(K)").encode()
     process = IsolatedController(NAME, SourceFiles(source, {"my_gains.py": b"K = 0.25"}).packed("law.py"), HERE)

@@ -9,13 +9,12 @@ from inteco_abs.analysis import replay_session
 from inteco_abs.analysis.compiled_replay import replay_rows
 from inteco_abs.analysis.replay import decisions
 from inteco_abs.config import load_config
-from inteco_abs.control import CONTROLLERS, build_pipeline, control_check
+from inteco_abs.control import CONTROLLERS, build_pipeline, control_check, make_controller
 from inteco_abs.errors import ConfigError
-from inteco_abs.experiment import Plan, run_checks
 from inteco_abs.format import TICK
-from inteco_abs.plugins import Controllers
+from inteco_abs.plugins import Controllers, Origin
 from inteco_abs.sessions import session_config
-from inteco_abs.signals import Phase
+from inteco_abs.signals import Estimate, Phase
 
 STEP = ("controller.reference_points=[0.1, 0.1, 0.3]", "controller.reference_at_s=[0.0, 0.2, 0.2]")
 RAMP = ("controller.reference_points=[0.3, 0.1]", "controller.reference_at_rad_s=[20.0, 60.0]")
@@ -73,18 +72,23 @@ def test_a_ramp_over_speed_is_that_of_the_estimated_speed(run_at, tmp_path):
         ((STEP[0], "controller.reference_at_s=[0.0, 0.3, 0.2]"), ["must rise"]),
         ((STEP[0], "controller.reference_at_s=[0.0, 0.1, 99.0]"), ["99"]),
         ((*STEP, RAMP[1]), ["one of reference_at_s and reference_at_rad_s"]),
-        ((*STEP, "controller.name=extremum-seeking"), ["extremum-seeking holds a constant slip only"]),
+        ((*STEP, "controller.name=law.py:Law"), ["law.py:Law holds a constant slip only", "declare `reference = 0.0`"]),
     ],
 )
 def test_points_that_make_no_reference_are_refused(settings, words):
+    class Law:
+        gains = internals = ()
+
+        def update(self, estimate, dt_s): ...
+
     with pytest.raises(ConfigError) as raised:
-        load_config(settings=settings, checks=[control_check(Controllers())])
+        load_config(settings=settings, checks=[control_check(Controllers({"law.py:Law": (Law, Origin())}))])
     assert all(word in str(raised.value) for word in words), raised.value
 
 
-def test_a_controller_in_its_own_process_holds_a_constant_slip(tmp_path):
-    controllers = {"law.py:Law": CONTROLLERS["reaching-law"]}
-    config = load_config(settings=(*RAMP, "controller.name=law.py:Law"), checks=[control_check(controllers)])
-    plan = Plan(tmp_path / "a.mcap", virtual=False, controllers=controllers, controller_source=b"source")
-    with pytest.raises(ConfigError, match=r"controller.reference_points: in real time .* use --virtual"):
-        all(check() is None for check in run_checks(config, plan))
+def test_a_published_law_follows_it():
+    config = load_config(settings=(*STEP, "controller.name=lqr"), checks=[control_check(Controllers())])
+    controller = make_controller(config, Controllers())
+    for reference in (0.1, 0.3):
+        demands = [controller.update(Estimate(88.0, 100.0, 0.12, valid=True), 0.0005) for _ in range(401)]
+        assert demands[-2].switching == 0.12 - reference

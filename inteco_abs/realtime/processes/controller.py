@@ -42,9 +42,10 @@ _DYING_S: Final = 0.005
 """Time from the end of its pipe to the end of its process."""
 _LEAVING_S: Final = 0.5
 
-_ESTIMATE: Final = struct.Struct("<2q4d?")
-"""Number of the request, of the controller that is asked; time since the last sample, estimate."""
-_OBSERVED: Final = struct.Struct("<2q4d?11d")
+_ESTIMATE: Final = struct.Struct("<2q5d?")
+"""Number of the request, of the controller that is asked; changing reference or NaN, time since the last sample,
+estimate."""
+_OBSERVED: Final = struct.Struct("<2q5d?11d")
 """The fields of `_ESTIMATE`, and a prediction."""
 _COPY: Final = struct.Struct("<2q")
 """Number of the request, of the controller to copy."""
@@ -172,19 +173,24 @@ class _Proxy:
     def __init__(self, process: IsolatedController, which: int) -> None:
         self._process = process
         self._which = which
+        self.reference = math.nan
+        """Slip to hold now, where that changes."""
 
     def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:
         wheel, road, slip, valid, prediction = estimate
+        known = self._which, self.reference, dt_s, wheel, road, slip, valid
         if prediction is None:
-            answer = self._process.answer(_ESTIMATE.pack, self._which, dt_s, wheel, road, slip, valid)
+            answer = self._process.answer(_ESTIMATE.pack, *known)
         else:
-            answer = self._process.answer(_OBSERVED.pack, self._which, dt_s, wheel, road, slip, valid, *prediction)
+            answer = self._process.answer(_OBSERVED.pack, *known, *prediction)
         brake, torque, switching, c0, c1, c2, c3 = answer
         return BrakeDemand(brake, torque, switching, (c0, c1, c2, c3))
 
     def __deepcopy__(self, _memo: object) -> _Proxy:
         """Copy the controller in its process, which then keeps only these two."""
-        return _Proxy(self._process, int(self._process.answer(_COPY.pack, self._which)[0]))
+        copy = _Proxy(self._process, int(self._process.answer(_COPY.pack, self._which)[0]))
+        copy.reference = self.reference
+        return copy
 
 
 @contextmanager
@@ -261,12 +267,12 @@ def _answer(requests: int, replies: int, controller: Controller) -> None:
     try:
         while request := read(requests, _MOST_BYTES):
             if len(request) == _ESTIMATE.size:
-                number, which, dt_s, wheel, road, slip, valid = _ESTIMATE.unpack(request)
-                answer = _demand(controllers[which], Estimate(wheel, road, slip, valid), dt_s)
+                number, which, slip_to_hold, dt_s, wheel, road, slip, valid = _ESTIMATE.unpack(request)
+                answer = _demand(controllers[which], slip_to_hold, Estimate(wheel, road, slip, valid), dt_s)
             elif len(request) == _OBSERVED.size:
-                number, which, dt_s, wheel, road, slip, valid, *prediction = _OBSERVED.unpack(request)
+                number, which, slip_to_hold, dt_s, wheel, road, slip, valid, *prediction = _OBSERVED.unpack(request)
                 estimate = Estimate(wheel, road, slip, valid, Prediction(*prediction))
-                answer = _demand(controllers[which], estimate, dt_s)
+                answer = _demand(controllers[which], slip_to_hold, estimate, dt_s)
             else:
                 number, which = _COPY.unpack(request)
                 controllers = {which: controllers[which], number: deepcopy(controllers[which])}
@@ -284,7 +290,9 @@ def _write(replies: int, answer: object) -> None:
     os.write(replies, json.dumps(answer, default=float).encode() + b"\n")
 
 
-def _demand(controller: Controller, estimate: Estimate, dt_s: float) -> tuple[float, ...]:
+def _demand(controller: Any, slip_to_hold: float, estimate: Estimate, dt_s: float) -> tuple[float, ...]:
+    if not math.isnan(slip_to_hold):  # the reference changes, and the class has one
+        controller.reference = slip_to_hold
     brake, torque, switching, (c0, c1, c2, c3) = demand_of(controller, estimate, dt_s)
     # the guard judges what is not a number
     return brake if type(brake) is float else math.nan, torque, switching, c0, c1, c2, c3
