@@ -10,7 +10,7 @@ import zlib
 from collections.abc import Callable, Collection, Iterator
 from enum import IntEnum
 from functools import lru_cache
-from typing import Any, BinaryIO, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -161,33 +161,6 @@ class DecompressionBudget:
         self._parts -= number + size // _TEXT_OF_A_PART
         if self._parts < 0:
             raise DamagedError("holds more records, events, parameters and texts than a session of this size can")
-
-
-class RecordFile:
-    """The complete records of an open file in order; reads every byte once."""
-
-    def __init__(self, file: BinaryIO, size: int) -> None:
-        self._file = file
-        self._size = size
-        self._crc = zlib.crc32(file.read(len(MAGIC)))
-        self.crc = 0
-        """Checksum of the file before the current record."""
-
-    def __iter__(self) -> Iterator[Entry]:
-        at = len(MAGIC)
-        while at + HEAD.size <= self._size:
-            head = self._file.read(HEAD.size)
-            opcode, length = HEAD.unpack(head)
-            at += HEAD.size
-            if length > self._size - at:
-                return
-            if length > LARGEST_RECORD:
-                raise DamagedError(f"record at byte {at} claims {length} bytes, more than {LARGEST_RECORD}")
-            data = self._file.read(length)
-            self.crc = self._crc
-            self._crc = zlib.crc32(data, zlib.crc32(head, self._crc))
-            yield Entry(opcode, at, memoryview(data))
-            at += length
 
 
 def kind(opcode: int) -> str:

@@ -224,14 +224,14 @@ class Content:
             self.rows[topic].write(batch.upgraded)
 
     def _take_header(self, data: memoryview) -> None:
-        _, self.library = fields(Opcode.HEADER, data)
+        _, self.library = fields(Opcode.HEADER, data, exact=True)
 
     def _take_schema(self, data: memoryview) -> None:
-        number, name, _, descriptor = fields(Opcode.SCHEMA, data)
+        number, name, _, descriptor = fields(Opcode.SCHEMA, data, exact=True)
         self.schemas[number] = name, bytes(descriptor)
 
     def _take_channel(self, data: memoryview) -> None:
-        number, schema, topic, _, facts = fields(Opcode.CHANNEL, data)
+        number, schema, topic, _, facts = fields(Opcode.CHANNEL, data, exact=True)
         self.channels[number] = topic, schema
         if topic == IO_TOPIC:
             self.variable_size.add(number)
@@ -239,8 +239,11 @@ class Content:
         self.channel_facts[topic] = text_map(facts, self.budget)
 
     def _take_metadata(self, data: memoryview) -> None:
-        name, facts = fields(Opcode.METADATA, data)
+        name, facts = fields(Opcode.METADATA, data, exact=True)
         self.metadata.setdefault(name.removeprefix(PREFIX), {}).update(text_map(facts, self.budget))
+
+    def _take_index(self, data: memoryview) -> None:
+        fields(Opcode.MESSAGE_INDEX, data, exact=True)  # a wrong length would hide the chunks after it
 
     def _take_attachment(self, data: memoryview) -> None:
         name, media_type, content = attachment(data)
@@ -252,6 +255,7 @@ _TAKERS: Final[Mapping[int, Callable[[Content, memoryview], None]]] = {
     Opcode.SCHEMA: Content._take_schema,  # noqa: SLF001
     Opcode.CHANNEL: Content._take_channel,  # noqa: SLF001
     Opcode.METADATA: Content._take_metadata,  # noqa: SLF001
+    Opcode.MESSAGE_INDEX: Content._take_index,  # noqa: SLF001
     Opcode.ATTACHMENT: Content._take_attachment,  # noqa: SLF001
 }
 

@@ -15,12 +15,12 @@ from inteco_abs.sessions.container import (
     Entry,
     FixedRun,
     Opcode,
-    RecordFile,
     chunk_parts,
     unpack_chunk,
 )
 from inteco_abs.sessions.content import Content
 from inteco_abs.sessions.reader import opened
+from inteco_abs.sessions.scanner import RecordFile
 from inteco_abs.wire import Capture, Record, RecordKind
 
 Frames = Callable[[], AbstractContextManager[tuple[Capture, Iterable[Record]]]]
@@ -62,7 +62,7 @@ def read_frames(path: Path) -> Capture:
             missing = content.metadata.get("frames", {}).get("missing", "")
             return _capture(path, content, messages, missing if ended else "the file ends early")
         except DamagedError as error:
-            raise SessionError(f"{path}: is damaged: {error}") from error
+            raise SessionError(f"{path}: is damaged: {error}; inteco-abs recover saves what is intact") from error
 
 
 def _messages(content: Content, raw: bytes) -> Iterator[bytes]:

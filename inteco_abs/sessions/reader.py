@@ -25,7 +25,6 @@ from inteco_abs.sessions.container import (
     DecompressionBudget,
     Entry,
     Opcode,
-    RecordFile,
     chunk_parts,
     fields,
     kind,
@@ -33,6 +32,7 @@ from inteco_abs.sessions.container import (
 )
 from inteco_abs.sessions.content import CONFIG_NAME, FLAT, LIBRARY, Content, LogEntry, Parameters
 from inteco_abs.sessions.migration import Metadata, UnsupportedError, migrated
+from inteco_abs.sessions.scanner import RecordFile
 from inteco_abs.sessions.storage import ColumnsInMemory, Rows, RowsInMemory, RowsOnDisk
 
 _BEGINNING: Final = 64

@@ -1,4 +1,4 @@
-"""Scans a file that may be damaged for intact records and damaged ranges.
+"""Reads the records of a file, and scans one that may be damaged for intact records and damaged ranges.
 
 After damage the scan continues at the next intact record, independent of declared lengths.
 """
@@ -86,6 +86,16 @@ class Scan:
                 crc = zlib.crc32(entry.data, zlib.crc32(HEAD.pack(entry.opcode, len(entry.data)), crc))
                 at = entry.end
 
+    def next_intact(self, at: int) -> int | None:
+        """Where the next intact chunk, attachment or metadata record begins, from `at` on; None without one."""
+        for start in self._anchors(at):
+            try:
+                self._record(start)
+            except DamagedError:
+                continue
+            return start
+        return None
+
     def _record(self, at: int) -> tuple[Entry, bytes | None]:
         """The record at `at`, and the unpacked chunk if it is one. Raises DamagedError if it is not intact."""
         entry = self._entry(at)
@@ -122,12 +132,9 @@ class Scan:
     def _damage(self, start: int, error: DamagedError) -> Damage:
         """The range from a damaged record to the next intact one."""
         problem = str(error)
-        for at in self._anchors(start + 1):
-            try:
-                self._record(at)
-            except DamagedError:
-                continue
-            return Damage(start, at, problem, tail=False)
+        following = self.next_intact(start + 1)
+        if following is not None:
+            return Damage(start, following, problem, tail=False)
         if self._trials <= 0:
             problem += "; the search after it was given up: too many bytes there look like records"
         end = self._size - len(MAGIC)
@@ -153,6 +160,45 @@ class Scan:
     def _bytes(self, at: int, count: int) -> bytes:
         self._file.seek(at)
         return self._file.read(count)
+
+
+class RecordFile:
+    """The complete records of an open file in order; reads every byte once.
+
+    Raises DamagedError at a record with a wrong length: one that is incomplete, although intact ones follow it.
+    """
+
+    def __init__(self, file: BinaryIO, size: int) -> None:
+        self._file = file
+        self._size = size
+        self._crc = zlib.crc32(file.read(len(MAGIC)))
+        self.crc = 0
+        """Checksum of the file before the current record."""
+
+    def __iter__(self) -> Iterator[Entry]:
+        at = len(MAGIC)
+        while at + HEAD.size <= self._size:
+            head = self._file.read(HEAD.size)
+            opcode, length = HEAD.unpack(head)
+            if length > self._size - at - HEAD.size:
+                self._require_cut(opcode, length, at)
+                return
+            if length > LARGEST_RECORD:
+                raise DamagedError(f"record at byte {at} claims {length} bytes, more than {LARGEST_RECORD}")
+            data = self._file.read(length)
+            self.crc = self._crc
+            self._crc = zlib.crc32(data, zlib.crc32(head, self._crc))
+            entry = Entry(opcode, at + HEAD.size, memoryview(data))
+            yield entry
+            at = entry.end
+
+    def _require_cut(self, opcode: int, length: int, at: int) -> None:
+        following = Scan(self._file, self._size).next_intact(at + 1)
+        if following is not None:
+            problem = (
+                f"claims {length} bytes, more than the file has, but intact records follow from byte {following} on"
+            )
+            raise DamagedError(f"{kind(opcode)} at byte {at}: {problem}")
 
 
 def checksum(file: BinaryIO, start: int, end: int, crc: int = 0) -> int:

@@ -8,12 +8,13 @@ from bisect import bisect_right
 import numpy as np
 import pytest
 
-from inteco_abs.sessions import read_session, recover_session, validate
+from inteco_abs.errors import SessionError
+from inteco_abs.sessions import read_frames, read_session, recover_session, validate
 from tests.sessions.breaking import Trial, flip
 
 pytestmark = pytest.mark.untraced  # the same code runs traced elsewhere, and these are many runs
 
-CHUNK, DATA_END = 6, 15
+CHUNK, MESSAGE_INDEX, METADATA, DATA_END = 6, 7, 12, 15
 
 
 @pytest.fixture
@@ -73,6 +74,52 @@ def test_the_verbs_end_with_3_after_a_loss_of_power(short, container, altered, v
         payload = read_session(again).payload
         assert read_session(short).payload[: len(payload)] == payload
         assert verb("info", path, "--json").json["ticks"] == ticks
+
+
+@pytest.fixture(params=["complete", "cut"])
+def with_a_wrong_length(request, short, container, altered):
+    """The session, complete or cut in its seventh chunk, with one bit of a record's length flipped.
+
+    The record is the last one of its type before the fifth chunk ends, or that chunk.
+    """
+    data = short.read_bytes()
+    records = container.split(data)
+    chunks = [record for record in records if record.opcode == CHUNK]
+    if request.param == "cut":
+        data = data[: chunks[6].end - 1]
+
+    def flipped(opcode, bit):
+        at = [record.at for record in records if record.opcode == opcode and record.at <= chunks[4].at][-1]
+        changed = bytearray(data)
+        changed[at + 1 + bit // 8] ^= 1 << bit % 8
+        return altered(bytes(changed))
+
+    return flipped
+
+
+@pytest.mark.parametrize(("opcode", "lost"), [(CHUNK, 10), (MESSAGE_INDEX, 0), (METADATA, 0)])
+def test_a_flipped_bit_of_a_length_is_damage_not_a_cut_and_all_other_chunks_are_recovered(
+    with_a_wrong_length, tmp_path, request, opcode, lost
+):
+    ticks = 50 if request.node.callspec.params["with_a_wrong_length"] == "cut" else 60
+    for bit in range(64):
+        path = with_a_wrong_length(opcode, bit)
+        for read in (read_session, read_frames):
+            with pytest.raises(SessionError, match=r"is damaged: .*; inteco-abs recover saves "):
+                read(path)
+        if bit % 7 == 0:
+            recover_session(path, tmp_path / f"{bit}.mcap")
+            assert len(read_session(tmp_path / f"{bit}.mcap").ticks) == ticks - lost
+
+
+def test_the_verbs_refuse_a_wrong_length_and_name_recover(with_a_wrong_length, verb, tmp_path):
+    path = with_a_wrong_length(CHUNK, 40)
+    for name, *more in (("info",), ("replay",), ("export", "-o", tmp_path / "x.npz"), ("what-if", "--set", "Mk=5")):
+        done = verb(name, path, *more)
+        assert (done.code, done.out) == (1, "")
+        words = " ".join(done.err.split())
+        assert "but intact records follow from byte" in words
+        assert "inteco-abs recover saves the intact ticks" in words
 
 
 HOSTILE = [struct.pack("<d", value) for value in (np.nan, np.inf, -np.inf, 1.4e306, -1e300, 5e-324, -0.0)]
