@@ -1,6 +1,7 @@
 """Sessions out of shared memory: by a recorder's process, and by hand after all processes died."""
 
 import hashlib
+import itertools
 import json
 import os
 import resource
@@ -10,6 +11,8 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from pathlib import Path
+from threading import Event
 
 import pytest
 
@@ -564,6 +567,19 @@ class TestRecorder:
         assert sum(here.memory.histogram.sparse().values()) == 600
         assert here.memory.path.exists()
 
+    def test_ticks_reach_the_disk_while_it_looks_around(self, here, monkeypatch):
+        seen, look = Event(), recorder.current_environment
+        monkeypatch.setattr(recorder, "current_environment", lambda: (seen.wait(30), look())[1])
+        here.ready()
+        here.ticks(100)
+        here.until(lambda: here.words[Field.SYNCED] == 100, "they are on the disk")
+        assert here.memory.note(Mailbox.ENVIRONMENT) is None
+        here.memory.post(Mailbox.RUN_END, NORMAL)
+        here.loop.kill()
+        seen.set()
+        here.end()
+        assert b"numpy==" in here.session().attachments["requirements.txt"]
+
     def test_after_a_loop_died_it_waits_for_the_report_on_the_board(self, here):
         here.ready()
         here.ticks(50)
@@ -680,7 +696,46 @@ sys.exit(main(sys.argv[1]))
 """A recorder on a disk that takes its time once, after the beginning."""
 
 
+NOTED = """
+import os, sys, time
+sync = os.fdatasync
+def noted(file):
+    size = os.fstat(file).st_size
+    sync(file)
+    with open(sys.argv[1] + ".syncs", "a") as notes:
+        print(time.monotonic_ns(), size, file=notes)
+os.fdatasync = noted
+from inteco_abs.realtime.processes.recorder import main
+sys.exit(main(sys.argv[1]))
+"""
+"""A recorder that notes the end of each sync, and the size of the file when it began."""
+
+
 class TestDisk:
+    def test_what_was_synced_before_a_power_cut_has_every_tick_but_the_newest(self, new_memory, job_of, child, until):
+        """`test_power_loss` cuts a file system's power; here a file keeps what was written before the last sync."""
+        memory = new_memory(2000, 2000)
+        recording = Recording(memory, job_of(memory), child, until, NOTED)
+        recording.ready()
+        came_ns = []
+        while len(came_ns) < 100:
+            recording.ticks(10)
+            came_ns.append(time.monotonic_ns())
+            time.sleep(0.01)
+        recording.process.kill()
+        recording.process.wait()
+        notes = Path(f"{memory.path}.syncs")
+        syncs = [tuple(map(int, line.split())) for line in notes.read_text().splitlines()]
+        notes.unlink()
+        data, lost_ms = recording.job.path.read_bytes(), []
+        for (_, size), (cut_ns, _) in itertools.pairwise(syncs):  # just before the next sync has ended
+            recording.job.path.write_bytes(data[:size])
+            saved = recording.session()
+            assert recording.payload.startswith(bytes(saved.payload))
+            lost_ms.append((cut_ns - came_ns[len(saved.ticks) // 10]) * 1e-6)
+        assert len(lost_ms) >= 5
+        assert max(lost_ms) <= 300.0
+
     def test_what_is_not_in_the_file_stays_in_the_ring(self, recording, until):
         recording.ready()
         recording.ticks(100)

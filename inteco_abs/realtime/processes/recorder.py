@@ -11,6 +11,7 @@ import os
 import time
 import traceback
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, replace
 from functools import partial
 from itertools import chain
@@ -92,11 +93,10 @@ def _record(memory: RunMemory, job: Job) -> None:
         window.skip_truths()  # states from before the first tick
         words[Field.RECORDER_BEAT_NS] = time.monotonic_ns()
         # a thread beats, as the disk may take seconds, for which the rings have room
-        with beating(memory, Field.RECORDER_BEAT_NS, _FLUSH_S):
+        with beating(memory, Field.RECORDER_BEAT_NS, _FLUSH_S), ThreadPoolExecutor(1) as pool:
             words[Field.RECORDING] = 1
-            writer.add_environment(current_environment())  # not before: it takes a tenth of a second
-            memory.post(Mailbox.ENVIRONMENT, writer.header.environment.as_note())
-            _Drain(memory, window, writer).until_the_end()
+            environment = pool.submit(current_environment)  # takes tenths of a second, in which ticks come
+            _Drain(memory, window, writer, environment).until_the_end()
             if not writer.ticks:
                 writer.discard()
                 return
@@ -132,8 +132,11 @@ class _Troubles:
 class _Drain:
     """Moves ticks from the rings to the writer; they stay in the rings until they are in a file."""
 
-    def __init__(self, memory: RunMemory, window: Window, writer: FailoverWriter) -> None:
+    def __init__(
+        self, memory: RunMemory, window: Window, writer: FailoverWriter, environment: Future[Environment]
+    ) -> None:
         self._memory, self._window, self._writer = memory, window, writer
+        self._environment: Future[Environment] | None = environment
         self._alarm = Alarm(memory, turn=3)
 
     def until_the_end(self) -> None:
@@ -146,6 +149,7 @@ class _Drain:
                 self._wait_for_the_rescue()
             self._alarm.look()
             self._hand_over()
+            self._add_environment(wait=over)
             if time.monotonic() - flushed >= _FLUSH_S:
                 self._flush()
                 flushed = time.monotonic()
@@ -163,6 +167,13 @@ class _Drain:
 
         if words[Field.HOLDER_PID] == pid:
             self._memory.wait(done, _RESCUE_S)
+
+    def _add_environment(self, *, wait: bool) -> None:
+        """Add the environment once, when it is known."""
+        if self._environment is not None and (wait or self._environment.done()):
+            self._writer.add_environment(self._environment.result())
+            self._memory.post(Mailbox.ENVIRONMENT, self._writer.header.environment.as_note())
+            self._environment = None
 
     def _hand_over(self) -> None:
         ticks, truths = self._window.more()
