@@ -1,9 +1,7 @@
-"""Serves a run to Lichtblick and Foxglove while it lasts, over a websocket on this computer, in the recorder's process.
+"""A websocket server on this computer for Lichtblick and Foxglove, for the channels of a run or of a session.
 
-The server reads the newest tick a hundred times a second and takes nothing out of the ring, so the recording stays
-whole. Any program of this computer may connect, a few at a time; web pages may not, except those of this computer and
-of the Foxglove app. Protocol: foxglove.sdk.v1 (docs.foxglove.dev, "WebSocket protocol"): texts in JSON, ticks in
-binary.
+Any program of this computer may connect, a few at a time; web pages may not, except those of this computer and of the
+Foxglove app. Protocol: foxglove.sdk.v1 (docs.foxglove.dev, "WebSocket protocol"): texts in JSON, messages in binary.
 """
 
 from __future__ import annotations
@@ -15,24 +13,21 @@ import re
 import selectors
 import socket
 import struct
-import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from threading import Event, Thread
-from typing import Any, Final
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from typing import Any, Final, NamedTuple
 
 from inteco_abs.errors import AbsError
-from inteco_abs.format import TICK
-from inteco_abs.realtime.job import Job
-from inteco_abs.realtime.memory import Field, RunMemory
-from inteco_abs.realtime.ring import RingReader
+from inteco_abs.sessions import Channel
 
 HOST: Final = "127.0.0.1"
 PERIOD_S: Final = 0.01
+"""Usual time between two messages of a channel."""
 MOST_VIEWERS: Final = 16
-"""Most connections at a time, with or without a handshake: each holds a descriptor of the recorder."""
-_SHOWN: Final = ("time_ns", "tick")
+"""Most connections at a time, with or without a handshake: each holds a descriptor of this process."""
+MOST_IN_A_PERIOD: Final = 100
+"""Most messages of answers that all viewers together get in one call of `listen`: a millisecond's work."""
 _PROTOCOL: Final[Any] = "foxglove.sdk.v1"
 _ORIGINS: Final[Any] = (
     None,  # a browser names the page that asks; other programs name none
@@ -41,16 +36,44 @@ _ORIGINS: Final[Any] = (
     re.compile(r"(?!https?:)[a-z][a-z0-9+.-]*://.*"),  # a viewer installed here, such as file://; no page can say so
 )
 _HOSTS: Final = (HOST, "localhost")
-_CHANNEL: Final = 1
 _MESSAGE: Final = struct.Struct("<BIQ")
-"""Type, subscription, time in ns; a tick follows."""
-_MESSAGE_DATA: Final = 1
+"""Type, subscription, time in ns; a message follows."""
+_CLOCK: Final = struct.Struct("<BQ")
+"""Type, time in ns."""
+_CALL: Final = struct.Struct("<BIII")
+"""Type, service, call, length of the encoding's name, which follows, and then the request or response."""
+_MESSAGE_DATA, _TIME, _RESPONSE = 1, 2, 3
+_REQUEST: Final = 2
+_JSON: Final = b"json"
+_TEXT, _BINARY = 1, 2
 _HANDSHAKE_S: Final = 5.0
 _FAREWELL_S: Final = 0.5
 """Time for what a viewer has not received when the run is over."""
 _LONGEST_REQUEST: Final = 1 << 16
+_MOST_SUBSCRIPTIONS: Final = 16
+_MOST_KEPT: Final = 1000
+"""Messages of a channel that later viewers get, too: the newest."""
 _MOST_BEHIND: Final = 1 << 16
-"""Bytes that may wait for a viewer before it misses ticks."""
+"""Bytes that may wait for a viewer before it misses messages."""
+
+
+class Answer(NamedTuple):
+    """Answer to a call: messages of one channel, and what is said after them."""
+
+    topic: str
+    messages: Iterator[tuple[int, bytes]]
+    """UNIX times in ns and messages."""
+    response: Mapping[str, Any]
+
+
+class Service(NamedTuple):
+    """What viewers may call; requests and responses are JSON objects, described by JSON schemas."""
+
+    name: str
+    request: Mapping[str, Any]
+    response: Mapping[str, Any]
+    call: Callable[[Mapping[str, Any]], Answer]
+    """Raises ValueError, with the reason, if it refuses."""
 
 
 def require_foxglove(port: int) -> None:
@@ -77,35 +100,34 @@ def address(port: int) -> str:
     return f"ws://{HOST}:{port}"
 
 
-@contextmanager
-def live_view(memory: RunMemory, job: Job) -> Iterator[None]:
-    """Serve the run in `memory` inside the context if its job asks for it; LIVE_PORT then holds the port.
+class FoxgloveServer:
+    """Serves channels to viewers while `listen` is called; all calls come from one thread.
 
-    Raises AbsError if the port is taken. A later failure ends the view only.
+    With `clock`, `tell_time` says what time it is for the viewers, which then may go back. Raises AbsError if the port
+    is taken.
     """
-    if job.live_port is None:
-        yield
-        return
-    view = _View(memory.tick_reader(), job.live_port, job.session_id, memory.words[Field.EPOCH_NS])
-    memory.words[Field.LIVE_PORT] = view.port
-    try:
-        yield
-    finally:
-        view.close()
 
+    def __init__(
+        self,
+        port: int,
+        session_id: str,
+        channels: Sequence[Channel],
+        services: Sequence[Service] = (),
+        *,
+        clock: bool = False,
+    ) -> None:
+        import websockets.server  # noqa: F401, PLC0415  an extra; loaded before messages come
 
-class _View:
-    """Serves the newest ticks of `reader`; `epoch_ns` is the UNIX time of the monotonic clock's zero, ns."""
-
-    def __init__(self, reader: RingReader, port: int, session_id: str, epoch_ns: int) -> None:
-        import websockets.server  # noqa: F401, PLC0415  an extra; loaded before ticks come
-
-        self._reader = reader
-        self._epoch_ns = epoch_ns
-        self._shown = -1
-        self._introduction = _introduction(session_id)
+        self._session_id, self._clock = session_id, clock
+        self._services = dict(enumerate(services, 1))
+        self._channels: dict[str, int] = {}
+        self._facts: dict[str, str] = {}
+        self._advertised: list[dict[str, Any]] = []
+        self._kept: dict[int, list[tuple[int, bytes]]] = {}
         self._viewers: set[_Viewer] = set()
         self._selector = selectors.DefaultSelector()
+        for channel in channels:
+            self._advertise(channel)
         try:
             self._listener = socket.create_server((HOST, port))
         except OSError as error:
@@ -113,31 +135,50 @@ class _View:
         self._listener.setblocking(False)
         self._selector.register(self._listener, selectors.EVENT_READ)
         self.port: int = self._listener.getsockname()[1]
-        self._over = Event()
-        self._thread = Thread(target=self._serve, daemon=True)
-        self._thread.start()
 
-    def close(self) -> None:
-        """Send the last tick, and stop."""
-        self._over.set()
-        self._thread.join()
+    def _advertise(self, channel: Channel) -> None:
+        number = self._channels[channel.topic] = len(self._channels) + 1
+        self.describe(channel)
+        self._advertised.append(
+            {
+                "id": number,
+                "topic": channel.topic,
+                "encoding": "protobuf",
+                "schemaName": channel.schema_name,
+                "schema": base64.b64encode(channel.descriptor).decode(),
+                "schemaEncoding": "protobuf",
+            }
+        )
 
-    def _serve(self) -> None:
-        try:
-            while not self._over.is_set():
-                self._listen(PERIOD_S)
-                self._show()
-            self._leave()
-        except Exception as error:  # noqa: BLE001  a viewer must not end the recording
-            print(f"inteco-abs: the live view has ended, and the run continues: {error}", file=sys.stderr)  # noqa: T201
-        finally:
-            self._selector.close()
-            for one in (self._listener, *(viewer.socket for viewer in self._viewers)):
-                one.close()
+    def describe(self, channel: Channel) -> None:
+        """Send metadata of a channel to all viewers: the protocol has room for it in that of the server only."""
+        self._facts |= {f"{channel.topic} {name}": text for name, text in channel.facts.items()}
+        for viewer in self._viewers:
+            viewer.tell(self._server_info())
 
-    def _listen(self, most_s: float) -> None:
+    def send(self, topic: str, log_time_ns: int, data: bytes, *, keep: bool = False) -> None:
+        """Send a message to all viewers of its channel, and with `keep` to those that come later, too."""
+        channel = self._channels[topic]
+        if keep:
+            kept = self._kept.setdefault(channel, [])
+            kept.append((log_time_ns, data))
+            del kept[:-_MOST_KEPT]
+        for viewer in self._viewers:
+            viewer.show(channel, log_time_ns, data)
+
+    def forget(self, topic: str) -> None:
+        """Keep no message of a channel any more."""
+        self._kept.pop(self._channels[topic], None)
+
+    def tell_time(self, time_ns: int) -> None:
+        """Send the present time, UNIX time in ns; earlier than before, viewers drop what they have."""
+        for viewer in self._viewers:
+            viewer.tell_time(time_ns)
+
+    def listen(self, most_s: float) -> None:
         """Serve the viewers' requests for `most_s` or a little longer."""
         end = time.monotonic() + most_s
+        self._answer()
         while True:
             for key, _ in self._selector.select(max(0.0, end - time.monotonic())):
                 if key.data is None:
@@ -148,6 +189,12 @@ class _View:
             if time.monotonic() >= end:
                 return
 
+    def _answer(self) -> None:
+        """Send a part of the answers that viewers wait for."""
+        waiting = [viewer for viewer in self._viewers if viewer.waits]
+        for viewer in waiting:
+            viewer.answer(MOST_IN_A_PERIOD // len(waiting))
+
     def _admit(self) -> None:
         try:
             connection, _ = self._listener.accept()
@@ -157,7 +204,7 @@ class _View:
         if len(self._viewers) >= MOST_VIEWERS:
             connection.close()
             return
-        viewer = _Viewer(connection, self.port, self._introduction)
+        viewer = _Viewer(connection, self.port, self._introduction, self._kept, self._called)
         self._viewers.add(viewer)
         self._selector.register(connection, selectors.EVENT_READ, viewer)
 
@@ -170,38 +217,92 @@ class _View:
             self._selector.unregister(viewer.socket)
             viewer.socket.close()
 
-    def _show(self) -> None:
-        """Send the newest tick, unless it has been sent."""
-        record = self._reader.newest()
-        if record is None:
-            return
-        ((time_ns, number),) = TICK.values(record, _SHOWN)
-        if number != self._shown:
-            self._shown = number
-            for viewer in self._viewers:
-                viewer.show(self._epoch_ns + time_ns, record)
-
-    def _leave(self) -> None:
-        self._show()
+    def leave(self) -> None:
+        """Send what waits, and close all connections."""
         for viewer in self._viewers:
             viewer.leave()
         end = time.monotonic() + _FAREWELL_S
         while self._viewers and time.monotonic() < end:
-            self._listen(PERIOD_S)
+            self.listen(PERIOD_S)
+
+    def close(self) -> None:
+        """Close everything at once."""
+        self._selector.close()
+        for one in (self._listener, *(viewer.socket for viewer in self._viewers)):
+            one.close()
+
+    def _called(self, number: int, request: Any) -> tuple[int, Answer]:
+        """Call a service; return the number of the answer's channel, and the answer. Raises ValueError."""
+        if number not in self._services:
+            raise ValueError(f"no service {number}: must be one of {', '.join(map(str, self._services)) or 'none'}")
+        if not isinstance(request, dict):
+            raise ValueError("the request must be a JSON object")  # noqa: TRY004  refused as all others
+        answer = self._services[number].call(request)
+        return self._channels[answer.topic], answer
+
+    def _server_info(self) -> str:
+        capabilities = [*(["services"] if self._services else []), *(["time"] if self._clock else [])]
+        return json.dumps(
+            {
+                "op": "serverInfo",
+                "name": "inteco-abs",
+                "capabilities": capabilities,
+                "supportedEncodings": ["json"] if self._services else [],
+                "metadata": self._facts,
+                "sessionId": self._session_id,
+            }
+        )
+
+    def _introduction(self) -> Iterator[str]:
+        """The first messages to each viewer: server, channels and services."""
+        yield self._server_info()
+        yield json.dumps({"op": "advertise", "channels": self._advertised})
+        if self._services:
+            yield json.dumps(
+                {"op": "advertiseServices", "services": [_service(*each) for each in self._services.items()]}
+            )
+
+
+def _service(number: int, service: Service) -> dict[str, Any]:
+    def described(name: str, schema: Mapping[str, Any]) -> dict[str, str]:
+        return {
+            "encoding": "json",
+            "schemaName": f"{service.name}_{name}",
+            "schemaEncoding": "jsonschema",
+            "schema": json.dumps(schema),
+        }
+
+    return {
+        "id": number,
+        "name": service.name,
+        "type": service.name,
+        "request": described("request", service.request),
+        "response": described("response", service.response),
+    }
 
 
 class _Viewer:
     """One connection, from its first byte on, with the library's protocol; no call waits for the other end."""
 
-    def __init__(self, connection: socket.socket, port: int, introduction: tuple[str, str]) -> None:
+    def __init__(
+        self,
+        connection: socket.socket,
+        port: int,
+        introduction: Callable[[], Iterable[str]],
+        kept: Mapping[int, Sequence[tuple[int, bytes]]],
+        called: Callable[[int, Any], tuple[int, Answer]],
+    ) -> None:
         from websockets.server import ServerProtocol  # noqa: PLC0415  an extra
 
         connection.setblocking(False)
         self.socket = connection
         self._hosts = {f"{host}:{port}" for host in _HOSTS}
-        self._introduction = introduction
+        self._introduction, self._kept, self._called = introduction, kept, called
         self._protocol: Any = ServerProtocol(origins=_ORIGINS, subprotocols=[_PROTOCOL], max_size=_LONGEST_REQUEST)
-        self._subscriptions: set[int] = set()
+        self._subscriptions: dict[int, int] = {}
+        """Channel of each subscription."""
+        self._pending: tuple[int, int, int, Answer] | None = None
+        """Subscription, service and call of an answer that is on its way."""
         self._untaken = bytearray()
         self._opened = False
         self._broken = False
@@ -212,6 +313,15 @@ class _Viewer:
         """Whether nothing is left to send to it."""
         late = not self._opened and time.monotonic() > self._patience_s
         return self._broken or late or (not self._untaken and self._protocol.close_expected())
+
+    @property
+    def waits(self) -> bool:
+        """Whether an answer is on its way to it."""
+        return self._pending is not None
+
+    def _takes(self) -> bool:
+        """Whether it can be sent messages: it is not too slow, and not leaving."""
+        return self._opened and len(self._untaken) <= _MOST_BEHIND and not self._protocol.close_expected()
 
     def receive(self) -> None:
         """Read what has arrived, and answer it."""
@@ -229,18 +339,49 @@ class _Viewer:
             self._broken = True
         for event in self._protocol.events_received():
             if not self._opened:
-                self._answer(event)
-            elif getattr(event, "opcode", None) == 1:  # text
-                self._handle(event.data)
+                self._accept(event)
+            elif (opcode := getattr(event, "opcode", None)) in {_TEXT, _BINARY}:
+                self._handle(event.data, self._subscribe if opcode == _TEXT else self._call)
         self.send()
 
-    def show(self, log_time_ns: int, record: bytes) -> None:
-        """Send one tick to each subscription, unless the viewer is too slow or is leaving."""
-        if len(self._untaken) > _MOST_BEHIND or self._protocol.close_expected():
+    def show(self, channel: int, log_time_ns: int, data: bytes) -> None:
+        """Send one message to each subscription of its channel, unless the viewer is too slow or is leaving."""
+        if self._takes():
+            for subscription in [each for each, of in self._subscriptions.items() if of == channel]:
+                self._send_message(subscription, log_time_ns, data)
+        self.send()
+
+    def _send_message(self, subscription: int, log_time_ns: int, data: bytes) -> None:
+        self._protocol.send_binary(_MESSAGE.pack(_MESSAGE_DATA, subscription, log_time_ns) + data)
+
+    def tell(self, text: str) -> None:
+        """Send a text."""
+        if self._takes():
+            self._protocol.send_text(text.encode())
             self.send()
+
+    def tell_time(self, time_ns: int) -> None:
+        """Send the present time."""
+        if self._takes():
+            self._protocol.send_binary(_CLOCK.pack(_TIME, time_ns))
+            self.send()
+
+    def answer(self, most: int) -> None:
+        """Send up to `most` messages of the answer that is on its way, and the response after the last."""
+        if self._pending is None or not self._takes():
             return
-        for subscription in self._subscriptions:
-            self._protocol.send_binary(_MESSAGE.pack(_MESSAGE_DATA, subscription, log_time_ns) + record)
+        subscription, service, call, answer = self._pending
+        for _ in range(most):
+            message = next(answer.messages, None)
+            if message is None:
+                self._pending = None
+                head = _CALL.pack(_RESPONSE, service, call, len(_JSON)) + _JSON
+                self._protocol.send_binary(head + json.dumps(answer.response).encode())
+                break
+            self._send_message(subscription, *message)
+            self.send()
+            if not self._takes():
+                break
         self.send()
 
     def leave(self) -> None:
@@ -252,7 +393,7 @@ class _Viewer:
         else:
             self._broken = True
 
-    def _answer(self, request: Any) -> None:
+    def _accept(self, request: Any) -> None:
         """Accept or reject the handshake."""
         hosts = request.headers.get_all("Host")
         if len(hosts) == 1 and hosts[0] in self._hosts:
@@ -262,21 +403,57 @@ class _Viewer:
         self._protocol.send_response(response)
         if response.status_code == 101:  # switching protocols
             self._opened = True
-            for text in self._introduction:
+            for text in self._introduction():
                 self._protocol.send_text(text.encode())
 
-    def _handle(self, data: bytes) -> None:
+    def _handle(self, data: bytes, handle: Callable[[bytes], None]) -> None:
+        try:
+            handle(data)
+        except (ValueError, TypeError, LookupError, RecursionError, struct.error):
+            self._protocol.fail(1008, "not a message of this protocol")
+
+    def _subscribe(self, data: bytes) -> None:
         """Subscribe or unsubscribe; other operations are not offered."""
+        request = json.loads(data)
+        if request["op"] == "subscribe":
+            wanted = {each["id"]: each["channelId"] for each in request["subscriptions"]}
+            if not all(type(each) is int and 0 <= each < 1 << 32 for pair in wanted.items() for each in pair):
+                return
+            for subscription, channel in wanted.items():
+                if subscription not in self._subscriptions and len(self._subscriptions) < _MOST_SUBSCRIPTIONS:
+                    self._subscriptions[subscription] = channel
+                    for message in self._kept.get(channel, ()):
+                        self._send_message(subscription, *message)
+        elif request["op"] == "unsubscribe":
+            for subscription in request["subscriptionIds"]:
+                self._subscriptions.pop(subscription, None)
+
+    def _call(self, data: bytes) -> None:
+        """Call a service; other binary messages are not offered."""
+        if not data or data[0] != _REQUEST:
+            return
+        _, service, call, length = _CALL.unpack_from(data)
+        encoding, request = data[_CALL.size : _CALL.size + length], data[_CALL.size + length :]
+        try:
+            self._pending = self._answered(service, call, encoding, request)
+        except ValueError as error:
+            failure = {"op": "serviceCallFailure", "serviceId": service, "callId": call, "message": str(error)}
+            self._protocol.send_text(json.dumps(failure).encode())
+
+    def _answered(self, service: int, call: int, encoding: bytes, data: bytes) -> tuple[int, int, int, Answer]:
+        if encoding != _JSON:
+            raise ValueError(f"encoding {encoding!r}: must be json")
+        if self._pending is not None:
+            raise ValueError("the previous call is not answered yet; wait for it")
         try:
             request = json.loads(data)
-            if request["op"] == "subscribe":
-                wanted = {each["id"] for each in request["subscriptions"] if each["channelId"] == _CHANNEL}
-                if all(type(each) is int and 0 <= each < 1 << 32 for each in wanted):
-                    self._subscriptions = set(sorted(self._subscriptions | wanted)[:MOST_VIEWERS])
-            elif request["op"] == "unsubscribe":
-                self._subscriptions -= set(request["subscriptionIds"])
-        except (ValueError, TypeError, LookupError, RecursionError):
-            self._protocol.fail(1008, "not a message of this protocol")
+        except ValueError:
+            request = None
+        channel, answer = self._called(service, request)
+        subscription = next((each for each, of in self._subscriptions.items() if of == channel), None)
+        if subscription is None:
+            raise ValueError(f"subscribe to {answer.topic} first")
+        return subscription, service, call, answer
 
     def send(self) -> None:
         """Send as much as the other end accepts now."""
@@ -288,17 +465,3 @@ class _Viewer:
             pass
         except OSError:
             self._broken = True
-
-
-def _introduction(session_id: str) -> tuple[str, str]:
-    """Return the first two messages to each viewer: server and channel."""
-    info = {"op": "serverInfo", "name": "inteco-abs", "capabilities": [], "sessionId": session_id}
-    channel = {
-        "id": _CHANNEL,
-        "topic": TICK.topic,
-        "encoding": "protobuf",
-        "schemaName": TICK.name,
-        "schema": base64.b64encode(TICK.descriptor()).decode(),
-        "schemaEncoding": "protobuf",
-    }
-    return json.dumps(info), json.dumps({"op": "advertise", "channels": [channel]})

@@ -3,6 +3,17 @@
 from inteco_abs.format import TICK, TRUTH, pack_tick
 from inteco_abs.sessions.attachments import attached, extract
 from inteco_abs.sessions.card import aligned_truth, card_of, link_errors, result_card, stored_card
+from inteco_abs.sessions.channels import (
+    WARNING,
+    Channel,
+    StateEvents,
+    event_channel,
+    pack_event,
+    pack_parameters,
+    parameter_channel,
+    result_channel,
+    row_channel,
+)
 from inteco_abs.sessions.container import DamagedError
 from inteco_abs.sessions.content import CONFIG_NAME, CONTROLLER_FILES, CONTROLLER_SOURCE, RECOVERED
 from inteco_abs.sessions.environment import Environment, current_environment
@@ -50,7 +61,9 @@ __all__ = [
     "STANDSTILL_RAD_S",
     "TICK",
     "TRUTH",
+    "WARNING",
     "Array",
+    "Channel",
     "DamagedError",
     "Environment",
     "Export",
@@ -68,6 +81,7 @@ __all__ = [
     "SessionIssue",
     "SessionWriter",
     "Severity",
+    "StateEvents",
     "StopTrace",
     "Table",
     "aligned_truth",
@@ -80,6 +94,7 @@ __all__ = [
     "current_environment",
     "describe_other_arithmetic",
     "ensured_directory",
+    "event_channel",
     "export_session",
     "extract",
     "host_facts",
@@ -90,7 +105,10 @@ __all__ = [
     "newer",
     "opened",
     "other_arithmetic",
+    "pack_event",
+    "pack_parameters",
     "pack_tick",
+    "parameter_channel",
     "profile_source",
     "read_frames",
     "read_metadata",
@@ -98,6 +116,8 @@ __all__ = [
     "recover_session",
     "require_own_file",
     "result_card",
+    "result_channel",
+    "row_channel",
     "session_config",
     "software_facts",
     "spill_path",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import struct
 import time
 import uuid
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -23,40 +22,34 @@ from inteco_abs.errors import SessionError, describe_disk
 from inteco_abs.format import (
     IO_NAME,
     IO_TOPIC,
-    LOG_NAME,
-    LOG_TOPIC,
-    PARAMETERS_NAME,
-    PARAMETERS_TOPIC,
-    RESULT,
-    RESULT_NAME,
-    RESULT_TOPIC,
     TICK,
     TRUTH,
     Message,
-    chunk,
-    double,
-    integer,
     io_frame_descriptor,
-    log_descriptor,
     pack_result,
-    parameters_descriptor,
-    result_descriptor,
-    tag,
+)
+from inteco_abs.sessions.channels import (
+    WARNING,
+    Channel,
+    StateEvents,
+    event_channel,
+    pack_event,
+    pack_parameters,
+    parameter_channel,
+    result_channel,
+    row_channel,
 )
 from inteco_abs.sessions.content import ATTACHMENT_HASH
 from inteco_abs.sessions.disk import Disk
 from inteco_abs.sessions.files import check_output
 from inteco_abs.sessions.mcap_writer import McapWriter
 from inteco_abs.sessions.reader import stored_rows
-from inteco_abs.signals import EXPLANATIONS, Phase, Reason
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
 FORMAT_VERSION: Final = "5"
 _MOST_WAITING: Final = 1 << 18  # bytes
-_STATE: Final = ("phase", "reason")
-_INFO, _WARNING, _ERROR = 2, 3, 4  # levels of foxglove.Log
 
 
 class FileWriter:
@@ -92,17 +85,17 @@ class FileWriter:
         self._packed = self._truths = 0
         """Number of ticks and of truths packed."""
         self._newest_ns = self.started_ns
-        self._before = (int(Phase.UNKNOWN), int(Reason.NONE))
+        self._states = StateEvents()
         self._log = set[tuple[int, int, str]]()
         self._disk = Disk(path)
         self._file = BufferedWriter(self._disk)
         self._writer = McapWriter(self._file, f"inteco-abs/{version('inteco-abs')}")
         self._waiting, self._kind = bytearray(), TICK
         """Messages of one kind that are not in the chunk yet."""
-        self._tick_channel = self._flat(TICK, {"internals": json.dumps(list(controller_internals))})
+        self._tick_channel = self._channel(row_channel(TICK, controller_internals))
         self._truth_channel = -1
-        self._event_channel = self._channel(LOG_TOPIC, LOG_NAME, log_descriptor(), {})
-        self._parameter_channel = self._channel(PARAMETERS_TOPIC, PARAMETERS_NAME, parameters_descriptor(), {})
+        self._event_channel = self._channel(event_channel())
+        self._parameter_channel = self._channel(parameter_channel())
 
     def __enter__(self) -> Self:
         return self
@@ -150,9 +143,7 @@ class FileWriter:
 
     def begin(self, parameters: Mapping[str, float]) -> None:
         """Write the parameters in force from tick 0, and everything so far to the disk."""
-        values = b"".join(chunk(1, chunk(1, name) + double(2, value)) for name, value in parameters.items())
-        data = values + tag(2, 5) + struct.pack("<I", 0)
-        self._writer.add_message(self._parameter_channel, self.started_ns, data)
+        self._writer.add_message(self._parameter_channel, self.started_ns, pack_parameters(parameters))
         facts = {"format_version": FORMAT_VERSION, "session_id": self.session_id, "started_utc": utc(self.started_ns)}
         self.describe("session", facts)
         self._writer.end_chunk()
@@ -190,19 +181,24 @@ class FileWriter:
             self._pack_ticks(rows, times_ns)
             return
         if self._truth_channel < 0:
-            self._truth_channel = self._flat(TRUTH, {})
+            self._truth_channel = self._channel(row_channel(TRUTH))
         self._writer.add_messages(self._truth_channel, self._truths, times_ns, _plain(rows))
         self._truths += len(rows)
 
     def _pack_ticks(self, rows: npt.NDArray[np.void], times_ns: npt.NDArray[np.uint64]) -> None:
-        changes = [np.diff(rows[name], prepend=old) != 0 for name, old in zip(_STATE, self._before, strict=True)]
         data, start = _plain(rows), 0
-        for end in (*np.flatnonzero(np.logical_or(*changes)).tolist(), len(rows)):
+
+        def add(end: int) -> None:
+            nonlocal start
             self._writer.add_messages(self._tick_channel, self._packed, times_ns[start:end], data[start:end])
             self._packed += end - start
-            if end < len(rows):
-                self._changed(int(times_ns[end]), *(int(rows[name][end]) for name in _STATE))
             start = end
+
+        for index, entries in self._states.among(rows):
+            add(index)
+            for level, text in entries:
+                self.event(int(times_ns[index]), level, text)
+        add(len(rows))
         self._newest_ns = int(times_ns[-1])
 
     def frames(self, facts: Mapping[str, str], messages: Iterable[tuple[int, bytes]]) -> int:
@@ -211,7 +207,7 @@ class FileWriter:
         They have separate chunks: a damaged one loses no ticks.
         """
         self._end_chunk()
-        channel = self._channel(IO_TOPIC, IO_NAME, io_frame_descriptor(), facts)
+        channel = self._channel(Channel(IO_TOPIC, IO_NAME, io_frame_descriptor(), facts))
         count = 0
         for time_ns, data in messages:
             self._writer.add_message(channel, self._epoch_ns + time_ns, data, count & 0xFFFFFFFF)
@@ -235,7 +231,7 @@ class FileWriter:
 
     def warn(self, stamp_ns: int, text: str) -> None:
         """Add a warning to the log, at a wall clock time in ns."""
-        self.event(stamp_ns, _WARNING, text)
+        self.event(stamp_ns, WARNING, text)
 
     def event(self, stamp_ns: int, level: int, text: str) -> None:
         """Add an entry to the log, at a wall clock time in ns, unless it has the same one already."""
@@ -244,10 +240,7 @@ class FileWriter:
         if line in self._log:
             return
         self._log.add(line)
-        seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
-        stamp = integer(1, seconds) + integer(2, nanoseconds)
-        data = chunk(1, stamp) + integer(2, level) + chunk(3, text) + chunk(4, "inteco-abs")
-        self._writer.add_message(self._event_channel, stamp_ns, data)
+        self._writer.add_message(self._event_channel, stamp_ns, pack_event(stamp_ns, level, text))
 
     def finish(self, outcome: str, reason: str, result: Mapping[str, Any], ended_utc: str = "") -> None:
         """Complete the file: outcome, result card, hash of the payloads, index. Without `ended_utc`, it ends now."""
@@ -273,9 +266,7 @@ class FileWriter:
 
     def _write_result(self, card: Mapping[str, Any]) -> None:
         """Write the card as a message, for viewers; this program reads it from the metadata."""
-        units = {"units": json.dumps({entry.name: entry.unit for entry in RESULT})}
-        channel = self._channel(RESULT_TOPIC, RESULT_NAME, result_descriptor(), units)
-        self._writer.add_message(channel, self._newest_ns, pack_result(card))
+        self._writer.add_message(self._channel(result_channel()), self._newest_ns, pack_result(card))
 
     def discard(self) -> None:
         """Remove the file of a run without ticks. Raises SessionError if it cannot be removed."""
@@ -296,23 +287,9 @@ class FileWriter:
         if self._durable:
             self._disk.sync(self._packed, wait=wait)
 
-    def _changed(self, stamp_ns: int, phase: int, reason: int) -> None:
-        if phase != self._before[0]:
-            self.event(stamp_ns, _INFO, f"phase {Phase(phase).name}")
-        if reason != self._before[1]:
-            self.event(stamp_ns, _ERROR, f"{Reason(reason).name}: {EXPLANATIONS[Reason(reason)]}")
-        self._before = (phase, reason)
-
-    def _flat(self, message: Message, metadata: Mapping[str, str]) -> int:
-        facts = {
-            "units": json.dumps({column.name: column.unit for column in message.columns}),
-            "describe": json.dumps({column.name: column.meaning for column in message.columns}),
-            **metadata,
-        }
-        return self._channel(message.topic, message.name, message.descriptor(), facts)
-
-    def _channel(self, topic: str, name: str, descriptor: bytes, metadata: Mapping[str, str]) -> int:
-        return self._writer.add_channel(topic, self._writer.add_schema(name, descriptor), metadata)
+    def _channel(self, channel: Channel) -> int:
+        schema = self._writer.add_schema(channel.schema_name, channel.descriptor)
+        return self._writer.add_channel(channel.topic, schema, channel.facts)
 
 
 def _plain(rows: npt.NDArray[np.void]) -> npt.NDArray[np.void]:

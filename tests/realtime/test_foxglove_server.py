@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from live_client import watching
+from live_client import BURST, CALL, watching
 from websockets.client import ClientProtocol
 from websockets.protocol import State
 from websockets.sync.client import connect
@@ -20,14 +20,16 @@ from inteco_abs.config import load_config
 from inteco_abs.errors import AbsError, ConfigError
 from inteco_abs.experiment import Plan, run_stop
 from inteco_abs.format import TICK, pack_tick
-from inteco_abs.realtime.foxglove_server import MOST_VIEWERS, PERIOD_S, live_view, require_foxglove
-from inteco_abs.realtime.memory import Field, alive
+from inteco_abs.realtime.foxglove_server import MOST_VIEWERS, PERIOD_S, require_foxglove
+from inteco_abs.realtime.live_view import live_view
+from inteco_abs.realtime.memory import Field, Mailbox, alive
 from inteco_abs.realtime.ring import RingReader
-from inteco_abs.signals import Tick
+from inteco_abs.signals import Phase, Tick
 
 
-def tick(number):
+def tick(number, phase=Phase.IDLE):
     values = dict.fromkeys(Tick._fields, 0.0) | {"time_ns": 10**9 + 500_000 * number, "tick": number, "slip": 0.5}
+    values["phase"] = phase
     integers = [column.name for column in TICK.columns if column.kind.code not in "df"]
     return Tick(**{name: int(value) if name in integers else value for name, value in values.items()})
 
@@ -39,9 +41,9 @@ class Loop:
         self._ring = memory.tick_ring(pack_tick)
         self.number = -1
 
-    def append(self, ticks=1):
+    def append(self, ticks=1, phase=Phase.IDLE):
         self.number += ticks
-        self._ring.append(tick(self.number))
+        self._ring.append(tick(self.number, phase))
 
     def reach(self, viewer):
         """Write until the viewer is subscribed; the message of the last tick written, which is all that it has yet."""
@@ -86,8 +88,8 @@ def test_a_viewer_gets_the_description_of_the_channel(memory, job):
     with live_view(memory, job), watching(memory.words[Field.LIVE_PORT]) as viewer:
         assert viewer.subprotocol == "foxglove.sdk.v1"
         assert viewer.info["name"] == "inteco-abs"
-        channel = (viewer.channel["topic"], viewer.channel["schemaName"], viewer.channel["encoding"])
-    assert channel == (TICK.topic, TICK.name, "protobuf")
+        channel = viewer.channels[TICK.topic]
+    assert (channel["schemaName"], channel["encoding"]) == (TICK.name, "protobuf")
 
 
 def test_times_keep_the_distance_that_ticks_have(memory, job, loop):
@@ -124,6 +126,113 @@ def test_the_channel_survives_the_garbage_collector(memory, job, loop):
             assert viewer.decode(viewer.next()[1]).tick == loop.number
 
 
+def test_a_viewer_that_comes_late_gets_every_event_however_short(memory, job, loop):
+    with live_view(memory, job):
+        for phase in (Phase.IDLE, Phase.ARMED, Phase.SPIN_UP, Phase.SPIN_UP, Phase.BRAKING):
+            loop.append(phase=phase)
+        with watching(memory.words[Field.LIVE_PORT], "/abs/event") as viewer:
+            found = [viewer.next_of("/abs/event") for _ in range(4)]
+            decoded = [viewer.decode(data, "/abs/event") for _, _, data in found]
+    assert [each.message for each in decoded] == ["phase IDLE", "phase ARMED", "phase SPIN_UP", "phase BRAKING"]
+    epoch_ns = memory.words[Field.EPOCH_NS]
+    assert [time_ns - epoch_ns for _, time_ns, _ in found] == [10**9 + 500_000 * number for number in (0, 1, 2, 4)]
+
+
+def test_parameters_and_names_of_internals_come_once_the_board_has_answered(memory, job):
+    with live_view(memory, job), watching(memory.words[Field.LIVE_PORT], "/abs/params") as viewer:
+        memory.post(Mailbox.HEADER, {"gains": {"Mk": 2.5}, "internals": ["f", "g"]})
+        _, _, data = viewer.next_of("/abs/params")
+        assert dict(viewer.decode(data, "/abs/params").values) == {"Mk": 2.5, "reference_slip": 0.2}
+        with watching(memory.words[Field.LIVE_PORT], "/abs/params") as other:
+            assert other.next_of("/abs/params")[2] == data
+            facts = other.info["metadata"]
+    assert facts["/abs/tick internals"] == '["f", "g"]'
+    assert json.loads(facts["/abs/tick units"])["torque_demand_nm"] == "N.m"
+
+
+def test_warnings_and_the_result_come_too(memory, job):
+    with live_view(memory, job) as view, watching(memory.words[Field.LIVE_PORT], "/abs/event", "/abs/result") as viewer:
+        view.warn("the disk is slow", 5 * 10**9)
+        view.finish({"lateness_us": {}, "stop_time_s": 1.25})
+        found = {topic: (time, data) for topic, time, data in (viewer.next_of(*viewer.channels) for _ in range(2))}
+        time_ns, warning = found["/abs/event"]
+        assert viewer.decode(warning, "/abs/event").message == "the disk is slow"
+        assert time_ns == memory.words[Field.EPOCH_NS] + 5 * 10**9
+        assert viewer.decode(found["/abs/result"][1], "/abs/result").stop_time_s == 1.25
+
+
+class TestBursts:
+    """Every tick of the last milliseconds, when a viewer calls for them."""
+
+    @pytest.fixture
+    def viewer(self, memory, job, loop):
+        for _ in range(1000):
+            loop.append()
+        with live_view(memory, job), watching(memory.words[Field.LIVE_PORT], BURST) as viewer:
+            yield viewer
+
+    def test_it_has_every_tick(self, viewer, memory, loop):
+        messages, response = viewer.call(1, {"ms": 300})
+        ticks, _ = memory.tick_reader().look(400)
+        assert b"".join(data for _, data in messages) == ticks
+        assert [time - memory.words[Field.EPOCH_NS] for time, _ in messages] == TICK.array(ticks)["time_ns"].tolist()
+        assert response == {"ticks": 600, "first_tick": 400, "last_tick": 999}
+        assert memory.tick_reader().taken == 0
+        loop.append()
+        assert viewer.call(1, {"ms": 0.5}, number=2)[1] == {"ticks": 1, "first_tick": 1000, "last_tick": 1000}
+
+    @pytest.mark.parametrize(
+        ("service", "request_", "why"),
+        [
+            (1, {"ms": 501}, "ms is 501: the run has 500 ms of ticks so far; ask for fewer"),
+            (1, {"ms": 0}, "ms is 0: must be a number above 0, at most 2000"),
+            (1, {"ms": 2000.5}, "ms is 2000.5: must be a number above 0, at most 2000"),
+            (1, b'{"ms": NaN}', "ms is nan: must be a number above 0, at most 2000"),
+            (1, {"ms": True}, "ms is True: must be a number above 0, at most 2000"),
+            (1, {}, "ms is None: must be a number above 0, at most 2000"),
+            (1, [1], "the request must be a JSON object"),
+            (1, b"{", "the request must be a JSON object"),
+            (2, {"ms": 1}, "no service 2: must be one of 1"),
+        ],
+    )
+    def test_what_cannot_be_had_is_refused_with_the_reason(self, viewer, service, request_, why):
+        assert viewer.call(service, request_) == ([], why)
+        assert viewer.call(1, {"ms": 1})[1]["ticks"] == 2
+
+    def test_ticks_that_memory_no_longer_holds_are_refused(self, new_memory, job_of):
+        memory = new_memory(ticks=200)
+        loop = Loop(memory)
+        for _ in range(400):
+            memory.tick_reader().release(max(0, loop.number))
+            loop.append()
+        job = replace(job_of(memory), live_port=0)
+        with live_view(memory, job), watching(memory.words[Field.LIVE_PORT], BURST) as viewer:
+            why = "ms is 100: memory holds the last 87 ms; ask for fewer"
+            assert viewer.call(1, {"ms": 100}) == ([], why)
+            assert viewer.call(1, {"ms": 87}, number=2)[1]["first_tick"] == 400 - 174
+
+    def test_it_needs_a_subscription_and_the_previous_answer(self, memory, viewer):
+        with watching(memory.words[Field.LIVE_PORT]) as other:
+            assert other.call(1, {"ms": 10}) == ([], "subscribe to /abs/burst first")
+        call = CALL.pack(2, 1, 1, 4) + b'json{"ms": 500}'
+        viewer.raw(call)
+        assert viewer.call(1, {"ms": 1}, number=1)[1] == "the previous call is not answered yet; wait for it"
+
+    @pytest.mark.parametrize(
+        "said", [b"\2", CALL.pack(2, 1, 1, 1 << 31), CALL.pack(2, 1, 1, 4) + b"json" + b"[" * 60_000]
+    )
+    def test_bytes_that_are_not_a_call_disturb_no_other_viewer(self, memory, viewer, said):
+        with watching(memory.words[Field.LIVE_PORT], BURST) as other:
+            other.raw(said)
+            assert viewer.call(1, {"ms": 1})[1]["ticks"] == 2
+
+    def test_a_caller_that_reads_nothing_disturbs_no_other(self, memory, viewer):
+        with watching(memory.words[Field.LIVE_PORT], BURST) as other:
+            for _ in range(20):
+                other.raw(CALL.pack(2, 1, 1, 4) + b'json{"ms": 500}')
+            assert viewer.call(1, {"ms": 500})[1]["ticks"] == 1000
+
+
 def test_connections_from_other_computers_are_refused(memory, job):
     with live_view(memory, job):
         port = f":{memory.words[Field.LIVE_PORT]:04X}"
@@ -157,7 +266,7 @@ def test_trouble_while_serving_ends_the_view_and_nothing_else(memory, job, loop,
     def fail(*_args, **_options):
         raise RuntimeError("no more room")
 
-    monkeypatch.setattr(RingReader, "newest", fail)
+    monkeypatch.setattr(RingReader, "look", fail)
     with live_view(memory, job):
         loop.append()
     assert capfd.readouterr().err == "inteco-abs: the live view has ended, and the run continues: no more room\n"

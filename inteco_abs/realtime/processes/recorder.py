@@ -22,10 +22,10 @@ from inteco_abs.boards import STILL_ON
 from inteco_abs.config import parse_config
 from inteco_abs.errors import AbsError, SessionError
 from inteco_abs.realtime.alarm import Alarm
-from inteco_abs.realtime.foxglove_server import live_view
 from inteco_abs.realtime.frame_spool import spooled_frames
 from inteco_abs.realtime.heartbeat import beating
 from inteco_abs.realtime.job import Job
+from inteco_abs.realtime.live_view import LiveView, live_view
 from inteco_abs.realtime.memory import Field, Mailbox, RunMemory, alive
 from inteco_abs.realtime.ownership import post_failure
 from inteco_abs.realtime.tuning import apply, recorder_tuning
@@ -65,8 +65,8 @@ def main(path: str) -> int:
     apply(recorder_tuning())
     job = Job.of(memory)
     try:
-        with live_view(memory, job):
-            _record(memory, job)
+        with live_view(memory, job) as view:
+            _record(memory, job, view)
     except AbsError as error:
         post_failure(memory, Mailbox.RECORDER_FAILURE, error)
         return error.exit_code
@@ -79,7 +79,7 @@ def main(path: str) -> int:
     return 0
 
 
-def _record(memory: RunMemory, job: Job) -> None:
+def _record(memory: RunMemory, job: Job, view: LiveView) -> None:
     words = memory.words
     memory.wait(lambda: words[Field.READY] == words[Field.LOOP_PID] != 0 or _nobody_drives(memory), _LONGEST_START_S)
     header = _header(memory, job)
@@ -88,7 +88,7 @@ def _record(memory: RunMemory, job: Job) -> None:
     opener = _opener(memory, job, header, time.monotonic_ns())
     spill = spill_path(job.path, job.config, job.session_id)
     window = Window(memory.tick_reader(), memory.truth_reader())
-    with FailoverWriter(job.path, opener, window.held, spill, _Troubles(memory).report) as writer:
+    with FailoverWriter(job.path, opener, window.held, spill, _Troubles(memory, view).report) as writer:
         writer.write_header(job.config, header, Path(job.session))
         window.skip_truths()  # states from before the first tick
         words[Field.RECORDER_BEAT_NS] = time.monotonic_ns()
@@ -96,11 +96,12 @@ def _record(memory: RunMemory, job: Job) -> None:
         with beating(memory, Field.RECORDER_BEAT_NS, _FLUSH_S), ThreadPoolExecutor(1) as pool:
             words[Field.RECORDING] = 1
             environment = pool.submit(current_environment)  # takes tenths of a second, in which ticks come
-            _Drain(memory, window, writer, environment).until_the_end()
+            _Drain(memory, window, writer, environment, view).until_the_end()
             if not writer.ticks:
                 writer.discard()
                 return
             result = writer.finish(replace(run_end(memory), frames=spooled_frames(memory, job)))
+            view.finish(result.card)
     memory.post(Mailbox.RESULT, asdict(result) | {"reason": int(result.reason)})
 
 
@@ -118,13 +119,14 @@ def _opener(memory: RunMemory, job: Job, header: RunHeader, start_ns: int) -> Op
 class _Troubles:
     """Posts trouble with the disks for the supervisor to show."""
 
-    def __init__(self, memory: RunMemory) -> None:
-        self._memory = memory
+    def __init__(self, memory: RunMemory, view: LiveView) -> None:
+        self._memory, self._view = memory, view
         self._texts: list[str] = []
 
     def report(self, text: str, path: Path) -> None:
         """Add one trouble; the session's file is at `path` now."""
         self._texts.append(text)
+        self._view.warn(text)
         self._memory.post(Mailbox.TROUBLES, {"texts": self._texts, "file": str(path)})
         self._memory.words[Field.TROUBLES] = len(self._texts)
 
@@ -133,9 +135,14 @@ class _Drain:
     """Moves ticks from the rings to the writer; they stay in the rings until they are in a file."""
 
     def __init__(
-        self, memory: RunMemory, window: Window, writer: FailoverWriter, environment: Future[Environment]
+        self,
+        memory: RunMemory,
+        window: Window,
+        writer: FailoverWriter,
+        environment: Future[Environment],
+        view: LiveView,
     ) -> None:
-        self._memory, self._window, self._writer = memory, window, writer
+        self._memory, self._window, self._writer, self._view = memory, window, writer, view
         self._environment: Future[Environment] | None = environment
         self._alarm = Alarm(memory, turn=3)
 
@@ -185,6 +192,7 @@ class _Drain:
         for began_ns, took_ns in self._writer.slow_syncs():
             text = f"the disk took {took_ns * 1e-9:.1f} s to sync, which comes ten times a second; no tick was lost"
             self._writer.warn(self._memory.words[Field.EPOCH_NS] + began_ns, text)
+            self._view.warn(text, began_ns)
         if self._writer.writing:
             self._window.release()
             self._memory.words[Field.SYNCED] = self._writer.synced
