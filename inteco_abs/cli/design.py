@@ -107,9 +107,9 @@ def design(
     rig = load_config(options.config, settings, [kind_check, control_check(known)], follows=preferred_estimator(known))
     speeds = speeds or (_SLOWEST_RAD_S, max(rig.experiment.start_speed_rad_s, _SLOWEST_RAD_S + 1.0))
     slips = [0.0] if from_slip is None else [0.0, from_slip]
-    if rig.controller.reference_points:
+    if rig.controller.constant_slip is None:
         problem = "a design judges one slip: leave it out, and give controller.reference_slip"
-        raise ConfigError.of("controller.reference_points", problem)
+        raise ConfigError.of(f"controller.{rig.controller.reference_key}", problem)
     _require_ranges(speeds, slip_band, slips, rig.controller.reference_slip)
     brake = _brake(rig, lag, dead_time)
     check_table(table)

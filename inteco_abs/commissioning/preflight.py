@@ -76,7 +76,7 @@ def planned_phases(config: RigConfig) -> Iterator[PlannedPhase]:
     yield PlannedPhase(Phase.ARMED.name, plan.idle_s, fixed=True, does="the same")
     spin_up = f"drive {drive:g} until the road wheel turns at {plan.start_speed_rad_s:g} rad/s"
     yield PlannedPhase(Phase.SPIN_UP.name, plan.spin_up_timeout_s, fixed=False, does=spin_up)
-    law = f"{controller.name} on {config.estimator.name}, {controller.reference_text}"
+    law = f"{controller.name} on {config.estimator.name}, reference slip {controller.reference_text}"
     braking = f"{law}, brake at most {brake:g}, until the road wheel is below {plan.stop_speed_rad_s:g} rad/s"
     yield PlannedPhase(Phase.BRAKING.name, plan.braking_timeout_s, fixed=False, does=braking)
     yield PlannedPhase(Phase.STOPPED.name, plan.hold_s, fixed=True, does="the brake is held, then both outputs are off")

@@ -302,7 +302,7 @@ class ControllerConfig(Section):
     """A shipped controller or one of an installed package; a file of your own is named on the command line only, as it
     is code that will run."""
     reference_slip: Annotated[float, Interval(gt=0.0, lt=1.0)] = 0.2
-    """Slip that the controller holds, unless `reference_points` are given."""
+    """Slip that the controller holds, unless `reference_points` or `reference_formula` are given."""
     reference_points: Annotated[list[Annotated[float, Interval(gt=0.0, lt=1.0)]], MinLen(2), MaxLen(1000)] | None = None
     """Slips to hold in turn, linear between them, at the values of one of the two following keys."""
     reference_at_s: Annotated[list[Annotated[float, Interval(ge=0.0, le=60.0)]], MinLen(2), MaxLen(1000)] | None = None
@@ -311,6 +311,9 @@ class ControllerConfig(Section):
         Annotated[list[Annotated[float, Interval(ge=0.0, le=245.0)]], MinLen(2), MaxLen(1000)] | None
     ) = None
     """Estimated road speeds; rising, the same one twice is a step."""
+    reference_formula: str | None = None
+    """Slip to hold, as a formula of `t`, the time since braking began in s, and `speed`, the estimated road speed in
+    rad/s: `0.2 + 0.05*sin(2*pi*t/0.4)`. Numbers, pi, + - * /, sin, cos, exp, min, max and step(x, x0)."""
     hold_below_rad_s: Annotated[float, Interval(ge=0.0, le=100.0)] = 5.0
     """Below this estimated road speed the last demand is held: the model's terms grow like 1/speed."""
     gains: dict[str, float] = field(default_factory=dict)
@@ -319,12 +322,24 @@ class ControllerConfig(Section):
     @property
     def constant_slip(self) -> float | None:
         """The reference slip where it is constant, else None."""
-        return self.reference_slip if self.reference_points is None else None
+        return self.reference_slip if self.reference_key == "reference_slip" else None
+
+    @property
+    def reference_key(self) -> str:
+        """The key that gives the slip to hold."""
+        if self.reference_formula is not None:
+            return "reference_formula"
+        return "reference_slip" if self.reference_points is None else "reference_points"
 
     @property
     def reference_text(self) -> str:
-        """The reference slip for people."""
-        return f"reference slip {self.reference_slip:g}" if self.reference_points is None else "changing reference slip"
+        """The reference slip for people: the constant, its range and what it is over, or the formula."""
+        if self.reference_formula is not None:
+            return self.reference_formula
+        if self.reference_points is None:
+            return f"{self.reference_slip:g}"
+        over = "time" if self.reference_at_s is not None else "speed"
+        return f"{min(self.reference_points):g}..{max(self.reference_points):g} over {over}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,24 +1,29 @@
-"""A reference slip that changes while braking: linear between points, over time or over road speed."""
+"""A reference slip that changes while braking: linear between points over time or road speed, or a formula of both."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, ClassVar, Final
 
-from inteco_abs.config import RigConfig
+from inteco_abs.config import ControllerConfig, RigConfig
 from inteco_abs.control.controllers import Controller, Gain
+from inteco_abs.control.formula import evaluate, parse_formula
 from inteco_abs.control.functions import Function, function_of
 from inteco_abs.errors import ConfigIssue, shortened
 from inteco_abs.signals import BrakeDemand, Estimate
 
 _OVER: Final = ("reference_at_s", "reference_at_rad_s")
 _POINTS: Final = "reference_points"
+_FORMULA: Final = "reference_formula"
+_CHECKED_S: Final = [i / 100 for i in range(101)]
+_CHECKED_RAD_S: Final = [i * 5.0 for i in range(37)]
 
 
 @dataclass(frozen=True, slots=True)
-class ReferenceConstants:
+class PointsConstants:
     """The points, and the constants of the law that follows them."""
 
     over_time: bool
@@ -30,15 +35,28 @@ class ReferenceConstants:
     law: Any
 
 
+@dataclass(frozen=True, slots=True)
+class FormulaConstants:
+    """The program of a formula, and the constants of the law that follows it."""
+
+    uses_speed: bool
+    count: int
+    codes: list[int]
+    numbers: list[float]
+    law: Any
+
+
 @dataclass(slots=True)
 class ReferenceState:
     """Time since the first demand, and the state of the law, whose `reference` is the slip to hold now."""
 
     elapsed_s: float
+    stack: list[float]
+    """What a formula computes with."""
     law: Any
 
 
-def reference_at(k: ReferenceConstants, at: float) -> float:
+def reference_at(k: PointsConstants, at: float) -> float:
     """Slip at this time or speed: linear between points, that of the nearer end outside of them."""
     low, high = 0, k.count
     while low < high:
@@ -55,46 +73,73 @@ def reference_at(k: ReferenceConstants, at: float) -> float:
     return k.slips[low - 1] + (k.slips[low] - k.slips[low - 1]) * share
 
 
-def _move(k: ReferenceConstants, s: ReferenceState, estimate: Estimate, dt_s: float) -> None:
-    """Give the law the slip to hold now; without a valid estimate a reference over speed stays."""
-    _, road_speed, _, valid, _ = estimate
+def by_points(k: Any, s: ReferenceState, road_speed: float, valid: bool) -> float:
+    """Slip to hold now, or NaN: without a valid estimate a reference over speed stays."""
     if k.over_time:
-        s.law.reference = reference_at(k, s.elapsed_s)
-    elif valid:
-        s.law.reference = reference_at(k, road_speed)
+        return reference_at(k, s.elapsed_s)
+    return reference_at(k, road_speed) if valid else math.nan
+
+
+def by_formula(k: Any, s: ReferenceState, road_speed: float, valid: bool) -> float:
+    """Slip to hold now, or NaN, as `by_points`."""
+    if k.uses_speed and not valid:
+        return math.nan
+    return evaluate(k.codes, k.numbers, k.count, s.stack, s.elapsed_s, road_speed)
+
+
+def _move(s: ReferenceState, slip: float, dt_s: float) -> None:
+    """Give the law the slip to hold now; without one between 0 and 1 it holds the last."""
+    if 0.0 < slip < 1.0:
+        s.law.reference = slip
     s.elapsed_s += dt_s
 
 
-def follow(k: ReferenceConstants, s: ReferenceState, estimate: Estimate, dt_s: float, law: Function) -> BrakeDemand:
+def follow(
+    k: Any, s: ReferenceState, estimate: Estimate, dt_s: float, law: Function, slip_now: Function
+) -> BrakeDemand:
     """Demand of the law at the reference of this tick."""
-    _move(k, s, estimate, dt_s)
+    _, road_speed, _, valid, _ = estimate
+    _move(s, slip_now(k, s, road_speed, valid), dt_s)
     demand: BrakeDemand = law(k.law, s.law, estimate, dt_s)
     return demand
 
 
 class FollowingController(ReferenceState):
-    """A controller whose reference slip changes. Until its first demand it is that of time 0, or of `start_rad_s`."""
+    """A controller whose reference slip changes. Until its first demand it is that of time 0 and `start_rad_s`."""
 
-    __slots__ = ("k",)
+    __slots__ = ("k", "slip_now")
 
     gains: ClassVar[tuple[Gain, ...]] = ()
     internals: ClassVar[tuple[str, ...]] = ()
 
-    def __init__(self, law: Any, at: list[float], slips: list[float], over_time: bool, start_rad_s: float) -> None:
-        super().__init__(0.0, law)
-        # a law without a function may have no constants
-        self.k = ReferenceConstants(over_time, len(at), at, slips, getattr(law, "k", None))
-        law.reference = reference_at(self.k, 0.0 if over_time else start_rad_s)
+    def __init__(self, law: Any, chosen: ControllerConfig, start_rad_s: float) -> None:
+        self.k: PointsConstants | FormulaConstants
+        self.slip_now: Function
+        constants = getattr(law, "k", None)  # a law without a function may have none
+        if chosen.reference_formula is not None:
+            program = parse_formula(chosen.reference_formula)
+            count = len(program.codes)
+            self.k = FormulaConstants(program.uses_speed, count, program.codes, program.numbers, constants)
+            self.slip_now = by_formula
+        else:
+            over_time = chosen.reference_at_s is not None
+            at, slips = list(chosen.reference_at_s or chosen.reference_at_rad_s or ()), chosen.reference_points or ()
+            self.k, count = PointsConstants(over_time, len(at), at, list(slips), constants), 1
+            self.slip_now = by_points
+        super().__init__(0.0, [0.0] * count, law)
+        law.reference = chosen.reference_slip
+        _move(self, self.slip_now(self.k, self, start_rad_s, True), 0.0)
 
     @property
     def function(self) -> Function | None:
         """`follow` with the function of the law, or None where that has none."""
         law = function_of(self.law)
-        return None if law is None else partial(follow, law=law)
+        return None if law is None else partial(follow, law=law, slip_now=self.slip_now)
 
     def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:
         """Demand of the law at the reference of this tick."""
-        _move(self.k, self, estimate, dt_s)
+        _, road_speed, _, valid, _ = estimate
+        _move(self, self.slip_now(self.k, self, road_speed, valid), dt_s)
         demand: BrakeDemand = self.law.update(estimate, dt_s)
         return demand
 
@@ -102,12 +147,9 @@ class FollowingController(ReferenceState):
 def following(controller: Controller, config: RigConfig) -> Controller:
     """`controller` with the reference of a checked configuration, itself where that is a constant."""
     chosen = config.controller
-    if chosen.reference_points is None:
+    if chosen.constant_slip is not None:
         return controller
-    over_time = chosen.reference_at_s is not None
-    at = chosen.reference_at_s if over_time else chosen.reference_at_rad_s
-    start = config.experiment.start_speed_rad_s
-    return FollowingController(controller, list(at or ()), list(chosen.reference_points), over_time, start)
+    return FollowingController(controller, chosen, config.experiment.start_speed_rad_s)
 
 
 def _followed(controller: Any, _constant: float) -> float:
@@ -122,31 +164,62 @@ def _constant(_controller: Any, constant: float) -> float:
 def reference_function(controller: object) -> Callable[[Any, float], float]:
     """What gives the slip that a controller holds now, of it, or of its record, and the slip to hold if constant."""
     # one inside of a wrapper that passes its attributes on counts as well
-    return _followed if isinstance(getattr(controller, "k", None), ReferenceConstants) else _constant
+    return _followed if isinstance(getattr(controller, "k", None), PointsConstants | FormulaConstants) else _constant
 
 
 def check_reference(name: str, kind: type, table: Mapping[str, Any]) -> Iterator[ConfigIssue]:
-    """What is wrong with the points in the section [controller] for the controller `name`."""
-    points, given = table.get(_POINTS), [key for key in _OVER if table.get(key) is not None]
-    if points is None and not given:
+    """What is wrong with the points or the formula in the section [controller] for the controller `name`."""
+    points, formula, given = table.get(_POINTS), table.get(_FORMULA), [key for key in _OVER if key in table]
+    if points is None and formula is None and not given:
         return
-    if points is None or len(given) != 1:
-        problem = f"give {_POINTS} (slips) with one of {' and '.join(_OVER)}, both lists equally long"
-        yield ConfigIssue(f"controller.{given[0] if points is None else _POINTS}", problem)
-        return
-    at = table[given[0]]
     if not hasattr(kind, "reference"):
         problem = (
             f"{name} holds a constant slip only: declare `reference = 0.0` in its class and read self.reference in "
             "each update, choose another controller, or give controller.reference_slip"
         )
-        yield ConfigIssue(f"controller.{_POINTS}", problem)
+        yield ConfigIssue(f"controller.{_POINTS if formula is None else _FORMULA}", problem)
+    if formula is not None:
+        if points is not None or given:
+            problem = f"give a formula or {_POINTS} with one of {' and '.join(_OVER)}, not both"
+            yield ConfigIssue(f"controller.{_FORMULA}", problem)
+        if isinstance(formula, str):
+            yield from _check_formula(formula)
+    elif points is None or len(given) != 1:
+        problem = f"give {_POINTS} (slips) with one of {' and '.join(_OVER)}, both lists equally long"
+        yield ConfigIssue(f"controller.{given[0] if points is None else _POINTS}", problem)
+    else:
+        yield from _check_points(points, given[0], table[given[0]])
+
+
+def _check_formula(text: str) -> Iterator[ConfigIssue]:
+    """It must give a slip in the first second at every speed of the rig."""
+    path = f"controller.{_FORMULA}"
+    try:
+        program = parse_formula(text)
+    except ValueError as error:
+        yield ConfigIssue(path, f"{shortened(text)}: {error}")
+        return
+    stack = [0.0] * len(program.codes)
+    for speed in _CHECKED_RAD_S if program.uses_speed else _CHECKED_RAD_S[:1]:
+        for t in _CHECKED_S:
+            slip = evaluate(program.codes, program.numbers, len(stack), stack, t, speed)
+            if not 0.0 < slip < 1.0:
+                problem = (
+                    f"{shortened(text)}: {slip:g} at t = {t:g} s and speed = {speed:g} rad/s; must be above 0 and "
+                    "below 1 in the first second at every speed in 0..180 rad/s: limit it, as in "
+                    "min(max(..., 0.01), 0.9)"
+                )
+                yield ConfigIssue(path, problem)
+                return
+
+
+def _check_points(points: Any, key: str, at: Any) -> Iterator[ConfigIssue]:
     if not (isinstance(at, list) and isinstance(points, list)):
         return  # the types are checked by the section
     if len(at) != len(points):
-        problem = f"{len(points)} slips for {len(at)} values of {given[0]}: both lists must be equally long"
+        problem = f"{len(points)} slips for {len(at)} values of {key}: both lists must be equally long"
         yield ConfigIssue(f"controller.{_POINTS}", problem)
     numbers = [each for each in at if isinstance(each, int | float)]
     if len(numbers) == len(at) and numbers != sorted(numbers):
         problem = f"{shortened(at)}: must rise from value to value; the same value twice is a step"
-        yield ConfigIssue(f"controller.{given[0]}", problem)
+        yield ConfigIssue(f"controller.{key}", problem)

@@ -144,7 +144,7 @@ class _Episodes:
         self._nominal = nominal_parameters(config.model) if choices.action == "torque" else None
         if config.controller.constant_slip is None:
             problem = "an environment has a constant reference: remove it, and set controller.reference_slip"
-            raise ConfigError.of("controller.reference_points", problem)
+            raise ConfigError.of(f"controller.{config.controller.reference_key}", problem)
         self._reference = np.full(count, config.controller.reference_slip)
         clock = Clock(config.period_ns, choices.ticks_per_action, round(choices.longest_s * 1e9 / config.period_ns))
         run_up_from = choices.run_up_from_rad_s

@@ -93,7 +93,7 @@ def split_list(text: str) -> list[str]:
         elif letter in "\"'":
             quote = letter
         else:
-            depth += (letter in "[{") - (letter in "]}")
+            depth += (letter in "[{(") - (letter in "]})")
         if letter == "," and not quote and depth == 0:
             values.append("")
         else:

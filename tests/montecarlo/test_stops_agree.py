@@ -12,6 +12,7 @@ from inteco_abs.rig import RigVariation, draw
 from inteco_abs.sessions import read_session
 from inteco_abs.signals import Phase
 
+FORMULA = "controller.reference_formula=0.2 + 0.1*sin(9*t)*exp(-t) - step(t, 0.1)*min(0.1, speed/900)"
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
 
@@ -31,7 +32,7 @@ def assert_same(trace, ticks):
 @pytest.mark.parametrize(
     ("population", "settings"),
     [
-        ("hard", ("controller.name=boundary-layer", "estimator.name=kalman")),
+        ("hard", ("controller.name=boundary-layer", "estimator.name=kalman", FORMULA)),
         ("rough", ("controller.name=smith-relay", "estimator.name=euler", "experiment.drive_duty=0.9")),
         (
             "nominal",

@@ -168,6 +168,7 @@ def test_too_many_combinations_are_refused_before_any_is_made():
 
 
 def test_commas_in_brackets_and_quotes_separate_nothing():
+    assert split_list("min(0.3, t),0.2") == ["min(0.3, t)", "0.2"]
     assert split_list("[2, 5],[1,2]") == ["[2, 5]", "[1,2]"]
     assert split_list("\"a,b\",'c,d',e") == ['"a,b"', "'c,d'", "e"]
     assert split_list("{a = [1, 2], b = 3},4") == ["{a = [1, 2], b = 3}", "4"]

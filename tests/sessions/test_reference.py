@@ -17,6 +17,7 @@ from inteco_abs.sessions import session_config
 from inteco_abs.signals import Estimate, Phase
 
 STEP = ("controller.reference_points=[0.1, 0.1, 0.3]", "controller.reference_at_s=[0.0, 0.2, 0.2]")
+SINE = ("controller.reference_formula=0.2 + 0.05*sin(2*pi*t/0.1) - step(t, 0.15)*min(0.1, speed/900)",)
 RAMP = ("controller.reference_points=[0.3, 0.1]", "controller.reference_at_rad_s=[20.0, 60.0]")
 QUICK = ("experiment.start_speed_rad_s=70.0", "experiment.idle_s=0.02", "experiment.hold_s=0.05")
 IDEAL_BRAKE = ("controller.name=boundary-layer", "estimator.name=kalman")
@@ -63,6 +64,16 @@ def test_a_ramp_over_speed_is_that_of_the_estimated_speed(run_at, tmp_path):
     assert_replays(made.session)
 
 
+def test_a_formula_is_that_of_time_and_estimated_speed(run_at, tmp_path):
+    made = run_at(tmp_path / "sine.mcap", (*QUICK, *SINE, *IDEAL_BRAKE))
+    ticks = braking_of(made.session)[1:]  # the first demand follows the tick in which braking begins
+    since_s, speed = (ticks["time_ns"] - ticks["time_ns"][0]) * 1e-9, ticks["road_speed_rad_s"]
+    wanted = 0.2 + 0.05 * np.sin(2.0 * np.pi * since_s / 0.1) - (since_s >= 0.15) * np.minimum(0.1, speed / 900.0)
+    near = np.abs(since_s - 0.15) > 0.001
+    assert np.allclose(ticks["slip_reference"][near], wanted[near], rtol=0.0, atol=1e-12)
+    assert_replays(made.session)
+
+
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
@@ -71,6 +82,15 @@ def test_a_ramp_over_speed_is_that_of_the_estimated_speed(run_at, tmp_path):
         ((STEP[0], "controller.reference_at_s=[0.0, 0.2]"), ["3 slips for 2 values"]),
         ((STEP[0], "controller.reference_at_s=[0.0, 0.3, 0.2]"), ["must rise"]),
         ((STEP[0], "controller.reference_at_s=[0.0, 0.1, 99.0]"), ["99"]),
+        ((*SINE, *STEP), ["give a formula or reference_points", "not both"]),
+        (("controller.reference_formula=0.2 +",), ["not a formula at character", "allowed are numbers"]),
+        (("controller.reference_formula=__import__('os')",), ["__import__", "allowed are numbers"]),
+        (("controller.reference_formula=0.2 + x",), ["'x' is not allowed"]),
+        (("controller.reference_formula=t.real",), ["'t.real' is not allowed"]),
+        (("controller.reference_formula=sin(t, t)",), ["sin with 2 arguments"]),
+        ((f"controller.reference_formula={'+'.join(['t'] * 100)}",), ["199 steps: at most 128"]),
+        (("controller.reference_formula=0.1*speed",), ["0 at t = 0 s and speed = 0 rad/s", "limit it"]),
+        ((f"controller.reference_formula={'(' * 150}t{')' * 149}",), ["not a formula"]),
         ((*STEP, RAMP[1]), ["one of reference_at_s and reference_at_rad_s"]),
         ((*STEP, "controller.name=law.py:Law"), ["law.py:Law holds a constant slip only", "declare `reference = 0.0`"]),
     ],
