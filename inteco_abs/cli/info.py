@@ -93,7 +93,8 @@ def _first_facts(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield "died", f"{died}; the last tick is {joined('session', 'last_tick') or 'unknown'}"
     yield "recorded", f"{joined('session', 'started_utc') or '-'}, {lasted}"
     yield "controller", f"{joined('controller', 'name') or '-'} on {joined('controller', 'estimator') or '-'}"
-    yield "gains", ", ".join([f"reference_slip={joined('controller', 'reference_slip') or '-'}", *gains])
+    reference = joined("controller", "reference") or joined("controller", "reference_slip") or "-"
+    yield "gains", ", ".join([f"reference_slip={reference}", *gains])
     yield "board", f"{joined('rig', 'board', 'logic_version', 'application_name')}, profile {joined('rig', 'profile')}"
     yield "rig", f"{place}, {time}"
     if faults := metadata.get("injected"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from enum import Enum
@@ -33,6 +34,8 @@ class Point(NamedTuple):
     road_speed_rad_s: float
     slip: float
     phase: int
+    slip_reference: float = math.nan
+    """Slip to hold; NaN unless the phase is braking."""
 
 
 class Snapshot(NamedTuple):

@@ -58,6 +58,8 @@ def controller_facts(config: RigConfig, gains: Mapping[str, float], source_sha25
         "sample_time_s": repr(config.period_ns / 1e9),
         "reference_slip": repr(config.controller.reference_slip),
     }
+    if config.controller.constant_slip is None:
+        facts["reference"] = config.controller.reference_text
     for name, value in gains.items():
         facts[f"gain.{name}"] = repr(float(value))
         facts[f"gain.{name}.hex"] = float(value).hex()

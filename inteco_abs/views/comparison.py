@@ -91,8 +91,15 @@ def labels(sessions: Sequence[Session]) -> list[str]:
 
 def _controllers(sessions: Sequence[Session]) -> list[list[str]]:
     laws = [session.metadata.get("controller", {}) for session in sessions]
-    facts = [{key: law.get(key, "") for key in ("name", "estimator", "reference_slip")} for law in laws]
-    return _differing(facts, lambda key, value: f"reference {value}" if key == "reference_slip" else value)
+    facts = [
+        {
+            "name": law.get("name", ""),
+            "estimator": law.get("estimator", ""),
+            "reference": law.get("reference") or law.get("reference_slip", ""),
+        }
+        for law in laws
+    ]
+    return _differing(facts, lambda key, value: f"reference {value}" if key == "reference" else value)
 
 
 def _gains(sessions: Sequence[Session]) -> list[list[str]]:

@@ -231,7 +231,7 @@ class Dashboard:
         return [[*padded(left, each), ("  ", ""), *right] for left, right in zip(speeds, slip, strict=True)] + [[]]
 
     def _speeds(self, width: int, rows: int) -> list[Line]:
-        times, road, wheel, _ = self._trace.columns()
+        times, road, wheel, _, _ = self._trace.columns()
         shot = self._shown
         head = [
             (" speed [rad/s]  ", "bold"),
@@ -243,17 +243,21 @@ class Dashboard:
         return [head, *plot(curves, axes, width, rows, plain=self._plain)]
 
     def _slip(self, width: int, rows: int) -> list[Line]:
-        times, _, _, slip = self._trace.columns()
-        axes, reference = PlotAxes(self._trace.span_s(), 1.0), self._config.controller.constant_slip
-        always = np.array([0.0, axes.span_s])
+        times, _, _, slip, reference = self._trace.columns()
+        axes, constant = PlotAxes(self._trace.span_s(), 1.0), self._config.controller.constant_slip
+        if constant is None:
+            known = np.isfinite(reference)  # while braking
+            held = Curve(times[known], reference[known], "", "-", dashed=True)
+            now = f"{held.values[-1]:.3f}" if len(held.values) else "changing"
+        else:
+            held = Curve(np.array([0.0, axes.span_s]), np.full(2, constant), "", "-", dashed=True)
+            now = f"{constant:g}"
         head = [
             (" slip           ", "bold"),
             *self._legend("slip", f"{self._shown.slip:6.3f}", _SLIP, "*", dashed=False),
-            *self._legend("reference", "changing" if reference is None else f"{reference:g}", "", "-", dashed=True),
+            *self._legend("reference", now, "", "-", dashed=True),
         ]
-        curves = [Curve(times, slip, _SLIP, "*")]
-        if reference is not None:
-            curves.append(Curve(always, np.full(2, reference), "", "-", dashed=True))
+        curves = [Curve(times, slip, _SLIP, "*"), held]
         return [head, *plot(curves, axes, width, rows, plain=self._plain)]
 
     def _legend(self, name: str, value: str, style: str, mark: str, *, dashed: bool) -> Line:

@@ -16,7 +16,7 @@ Array = npt.NDArray[Any]
 _SPANS: Final = (1.0, 2.0, 5.0)
 _USUAL_DECELERATION: Final = 120.0
 """rad/s2 of the road wheel; the published rig brakes with 128, so that a usual stop ends within the axis."""
-_EMPTY: Final = np.zeros((0, 4))
+_EMPTY: Final = np.zeros((0, 5))
 
 
 class RunTrace:
@@ -41,7 +41,8 @@ class RunTrace:
             self._newest_ns = point.time_ns
             if Phase.BRAKING in self.entered_ns and self._phase in {Phase.BRAKING, Phase.STOPPED}:
                 since_s = (point.time_ns - self.entered_ns[Phase.BRAKING]) * 1e-9
-                self._rows.append((since_s, point.road_speed_rad_s, point.wheel_speed_rad_s, point.slip))
+                speeds = point.road_speed_rad_s, point.wheel_speed_rad_s
+                self._rows.append((since_s, *speeds, point.slip, point.slip_reference))
                 if self._phase is Phase.BRAKING:  # holding the brake afterwards does not lengthen the axis
                     self._braked_s = since_s
 
@@ -66,10 +67,10 @@ class RunTrace:
         later = [time for time in self.entered_ns.values() if time > begin]
         return (min(later, default=self._newest_ns) - begin) * 1e-9
 
-    def columns(self) -> tuple[Array, Array, Array, Array]:
-        """Time since braking began in s, speed of road and wheel in rad/s, slip."""
-        times, road, wheel, slip = (np.array(self._rows) if self._rows else _EMPTY).T
-        return times, road, wheel, slip
+    def columns(self) -> tuple[Array, Array, Array, Array, Array]:
+        """Time since braking began in s, speed of road and wheel in rad/s, slip, and slip to hold or NaN."""
+        times, road, wheel, slip, reference = (np.array(self._rows) if self._rows else _EMPTY).T
+        return times, road, wheel, slip, reference
 
     def span_s(self) -> float:
         """Length of the time axis, s: that of a usual stop, longer in steps if this one takes longer."""

@@ -71,6 +71,7 @@ def test_a_formula_is_that_of_time_and_estimated_speed(run_at, tmp_path):
     wanted = 0.2 + 0.05 * np.sin(2.0 * np.pi * since_s / 0.1) - (since_s >= 0.15) * np.minimum(0.1, speed / 900.0)
     near = np.abs(since_s - 0.15) > 0.001
     assert np.allclose(ticks["slip_reference"][near], wanted[near], rtol=0.0, atol=1e-12)
+    assert made.session.metadata["controller"]["reference"] == SINE[0].partition("=")[2]
     assert_replays(made.session)
 
 

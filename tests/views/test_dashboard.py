@@ -156,6 +156,13 @@ class TestDuring:
         line_with(lines, "━━ slip  0.205", "╍╍ reference 0.2")
         assert any("⠀" <= letter <= "⣿" for letter in "".join(lines))
 
+    def test_a_changing_reference_is_that_of_now(self):
+        shown = Shown(config=load_config(settings=("controller.reference_formula=0.1 + 0.1*t",)))
+        before = BRAKED.recent[-50:]
+        now = [point._replace(slip_reference=0.1 + 0.001 * i) for i, point in enumerate(before)]
+        line_with(shown.picture(BRAKED._replace(recent=tuple(now))), "reference 0.149")
+        line_with(shown.picture(USUAL._replace(phase=Phase.STOPPED)), "reference 0.149")
+
     def test_plots_are_side_by_side_where_there_is_room(self):
         for width, beside in ((109, False), (110, True)):
             (line,) = (line for line in Shown((width, 36)).picture(BRAKED) if "speed [rad/s]" in line)

@@ -13,7 +13,7 @@ def points(phases, each_s=1.0, begin_s=7.0, every_s=0.1):
     for number, phase in enumerate(phases):
         for step in range(count):
             time_s = begin_s + number * each_s + step * every_s
-            made.append(Point(round(time_s * 1e9), 90.0, 100.0, 0.1, int(phase)))
+            made.append(Point(round(time_s * 1e9), 90.0, 100.0, 0.1, int(phase), 0.3))
     return made
 
 
@@ -24,7 +24,7 @@ def trace():
 
 def test_before_anything_has_happened_there_is_nothing(trace):
     assert (trace.stop, trace.braked(), trace.seconds_in(Phase.IDLE)) == (0, False, None)
-    assert [len(column) for column in trace.columns()] == [0, 0, 0, 0]
+    assert [len(column) for column in trace.columns()] == [0] * 5
 
 
 def test_phases_last_until_the_next_and_the_present_one_until_now(trace):
@@ -34,11 +34,12 @@ def test_phases_last_until_the_next_and_the_present_one_until_now(trace):
 
 def test_traces_are_of_braking_and_of_what_comes_after_until_the_brake_is_off(trace):
     trace.add(points(PHASES))
-    times, road, wheel, slip = trace.columns()
+    times, road, wheel, slip, reference = trace.columns()
     assert times == pytest.approx([number * 0.1 for number in range(20)])
     assert set(road) == {100.0}
     assert set(wheel) == {90.0}
     assert set(slip) == {0.1}
+    assert set(reference) == {0.3}
 
 
 def test_it_is_the_same_whether_ticks_are_added_at_once_or_bit_by_bit(trace):
