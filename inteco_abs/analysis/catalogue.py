@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from operator import itemgetter
 from pathlib import Path
@@ -82,11 +81,11 @@ def sort_rows(rows: Iterable[CatalogueRow], key: str, *, reverse: bool = False) 
 def _row_of_ticks(path: Path) -> CatalogueRow:
     """Row of a file without a usable index: the whole file is read."""
     try:
-        session = read_session(path, Path(tempfile.gettempdir()))
+        session = read_session(path)
     except SessionError as error:
         return _broken(path, error)
     row = _row(path, session.metadata, card_of(session) or {})
-    row["ticks"] = len(session.ticks)
+    row["ticks"] = session.tick_count
     row["outcome"] = row["outcome"] or INCOMPLETE
     row["problem"] = session.incomplete or session.unsupported or "its index is damaged"
     return row

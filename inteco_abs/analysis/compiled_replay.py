@@ -57,19 +57,26 @@ class SequenceRecords(NamedTuple):
     reference_slip: float
 
 
-def replay_rows(pipeline: Pipeline, logged: Array, may_compile: bool) -> Array | None:
-    """A copy of `logged`, also of what lies between its columns, with what a new `pipeline` decides on its inputs.
+class CompiledReplay:
+    """A new `pipeline` that decides in machine code, block by block; the pipeline itself stays as it was."""
 
-    None where Python has to decide: for a part that is not a function or cannot be compiled, times that go back, and
-    numbers that are not finite; and, unless it `may_compile`, where there is no machine code yet. The pipeline is left
-    as it was.
-    """
-    found = pipeline_records(pipeline)
-    if found is None or not _ordinary(logged):
-        return None
-    rows = logged.view(np.uint8).copy().view(logged.dtype)
-    loop = partial(decide_rows, decide=function_of_pipeline(pipeline))
-    return rows if run_compiled(loop, (*found, rows), may_compile) else None
+    def __init__(self, pipeline: Pipeline, may_compile: bool) -> None:
+        self._records = pipeline_records(pipeline)
+        self._loop = partial(decide_rows, decide=function_of_pipeline(pipeline)) if self._records else None
+        self._may_compile = may_compile
+        self._newest_ns = 0
+
+    def decide(self, logged: Array) -> Array | None:
+        """A copy of the next rows, also of what lies between their columns, with what it decides on their inputs.
+
+        None where Python has to decide: for a part that is not a function or cannot be compiled, times that go back,
+        and numbers that are not finite; and, unless it may compile, where there is no machine code yet.
+        """
+        if self._records is None or self._loop is None or not _ordinary(logged, self._newest_ns):
+            return None
+        self._newest_ns = int(logged["time_ns"][-1])
+        rows = logged.view(np.uint8).copy().view(logged.dtype)
+        return rows if run_compiled(self._loop, (*self._records, rows), self._may_compile) else None
 
 
 def pipeline_records(pipeline: Pipeline) -> tuple[ControlRecords, SequenceRecords] | None:
@@ -91,7 +98,7 @@ def function_of_pipeline(pipeline: Pipeline) -> Function:
 def demand_rows(
     estimator: Estimator, controller: Controller, logged: Array, dtype: np.dtype[Any], may_compile: bool
 ) -> Array | None:
-    """Rows of type `dtype` with slip, torque and duty that new parts demand for each row; None as by `replay_rows`.
+    """Rows of type `dtype` with slip, torque and duty that new parts demand for each row; None as by `decide`.
 
     None for a user's function, too, as `x**2` is not x*x in Python.
     """
@@ -114,12 +121,13 @@ def _control_records(estimator: Any, controller: Any, as_made: Any) -> ControlRe
         return None
 
 
-def _ordinary(logged: Array) -> bool:
+def _ordinary(logged: Array, earliest_ns: int = 0) -> bool:
     if logged.dtype != TICK.dtype or not logged.flags.c_contiguous:
         return False
     times_ns, most = logged["time_ns"], _MOST_COUNTS
     small = all(((-most < logged[name]) & (logged[name] < most)).all() for name in ("wheel_count", "road_count"))
-    return bool(small and (times_ns < _LATEST_NS).all() and (times_ns[1:] >= times_ns[:-1]).all())
+    forward = len(logged) and times_ns[0] >= earliest_ns and (times_ns[1:] >= times_ns[:-1]).all()
+    return bool(small and forward and (times_ns < _LATEST_NS).all())
 
 
 def _bound(loop: Function, estimator: Estimator, controller: Controller) -> Function:

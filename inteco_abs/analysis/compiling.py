@@ -20,7 +20,7 @@ def compiled_loops(
     if compiled is False or recorded_with(session) != elementary.PORTABLE:
         return None
     key, module = ("replay", type(estimator), type(controller)), "inteco_abs.analysis.compiled_replay"
-    return paying_loops(module, key, math.inf if compiled else len(session.ticks))
+    return paying_loops(module, key, math.inf if compiled else session.tick_count)
 
 
 def recorded_with(session: Session) -> str:

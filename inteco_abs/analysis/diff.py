@@ -14,15 +14,15 @@ import numpy as np
 import numpy.typing as npt
 
 from inteco_abs.analysis.gains import recorded_gains
-from inteco_abs.format import DOUBLE, TICK, TRUTH, Message, Role
-from inteco_abs.sessions import CONFIG_NAME, Session, card_of
+from inteco_abs.format import DOUBLE, TICK, TRUTH, Column, Role
+from inteco_abs.sessions import CONFIG_NAME, Session, card_of, joined_rows
 from inteco_abs.signals import Phase
 
 _NOT_METRICS: Final = frozenset(
     {"schema_version", "session", "outcome", "reason", "explanation", "controller", "estimator", "board", "rig"}
     | {"payload_sha256"}
 )
-_NEVER: Final = np.uint64((1 << 64) - 1)
+_BLOCK_TICKS: Final = 1 << 14
 _INTERNALS: Final = ("c0", "c1", "c2", "c3")
 
 Array = npt.NDArray[Any]
@@ -156,17 +156,43 @@ def _software(a: Session, b: Session, rel: float) -> Iterator[Change]:
 
 
 def _signals(a: Session, b: Session, rel: float) -> Iterator[Change | SignalChange]:
-    if not len(a.ticks) or not len(b.ticks):
-        yield from _changes({"ticks": len(a.ticks)}, {"ticks": len(b.ticks)})
+    if not a.tick_count or not b.tick_count:
+        yield from _changes({"ticks": a.tick_count}, {"ticks": b.tick_count})
         return
-    starts = _starts(a.ticks, b.ticks)
+    starts = _starts(a, b)
     internals = [session.channels.get(TICK.topic, {}).get("internals") for session in (a, b)]
     left_out = () if internals[0] == internals[1] else _INTERNALS
-    yield from _compare(TICK, _align(a.ticks, b.ticks, starts), rel, left_out)
-    if len(a.truth) and len(b.truth):
-        yield from _compare(TRUTH, _align(a.truth, b.truth, starts), rel)
+    outputs = [column for column in TICK.columns if column.role is Role.OUTPUT and column.name not in left_out]
+    yield from _compare("", outputs, _aligned(_ticks(a), _ticks(b), starts), rel)
+    if a.truth_count and b.truth_count:
+        yield from _compare("truth.", TRUTH.columns, _aligned(_truths(a), _truths(b), starts), rel)
     else:
-        yield from _changes({"truth": bool(len(a.truth))}, {"truth": bool(len(b.truth))})
+        yield from _changes({"truth": bool(a.truth_count)}, {"truth": bool(b.truth_count)})
+
+
+def _ticks(session: Session) -> Iterator[Array]:
+    return (ticks for ticks, _ in session.blocks(_BLOCK_TICKS))
+
+
+def _truths(session: Session) -> Iterator[Array]:
+    return (truth for _, truth in session.blocks(_BLOCK_TICKS))
+
+
+def _starts(a: Session, b: Session) -> tuple[int, int]:
+    """Start of braking in each, or of each session if one never braked, ns."""
+    first, braking = zip(*map(_first_times_ns, (a, b)), strict=True)
+    return first if None in braking else braking
+
+
+def _first_times_ns(session: Session) -> tuple[int, int | None]:
+    """Time of the first tick, and of the first that brakes."""
+    first_ns = None
+    for ticks in _ticks(session):
+        first_ns = int(ticks["time_ns"][0]) if first_ns is None else first_ns
+        braking = ticks["phase"] == Phase.BRAKING
+        if braking.any():
+            return first_ns, int(ticks["time_ns"][braking.argmax()])
+    return first_ns or 0, None
 
 
 class _AlignedRows(NamedTuple):
@@ -177,53 +203,80 @@ class _AlignedRows(NamedTuple):
     since_s: Array
 
 
-def _starts(a: Array, b: Array) -> tuple[int, int]:
-    """Start of braking in each, or of each session if one never braked, ns."""
-    braking = [np.flatnonzero(ticks["phase"] == Phase.BRAKING) for ticks in (a, b)]
-    first = [int(where[0]) for where in braking if len(where)]
-    rows = first if len(first) == len(braking) else [0, 0]
-    return int(a["time_ns"][rows[0]]), int(b["time_ns"][rows[1]])
+def _aligned(a: Iterable[Array], b: Iterable[Array], starts: tuple[int, int]) -> Iterator[_AlignedRows]:
+    """Each row of `a` since its start, up to the end of the shorter one, with the nearest of `b`, in blocks."""
+    others = _distinct(b)
+    near = next(others)
+    for rows in _distinct(a):
+        times_a, times_b = _since(rows, starts[0]), _since(near, starts[1])
+        more: Array | None = near
+        while times_b[-1] < times_a[-1] and more is not None:
+            more = next(others, None)
+            if more is not None:
+                known = near[max(int(np.searchsorted(times_b, times_a[0])) - 1, 0) :]
+                near = joined_rows(known, more)
+                times_b = _since(near, starts[1])
+        kept = (times_a >= 0) & (times_a <= times_b[-1])
+        wanted = times_a[kept]
+        after = np.minimum(np.searchsorted(times_b, wanted), len(times_b) - 1)
+        before = np.maximum(after - 1, 0)
+        nearest = np.where(wanted - times_b[before] < times_b[after] - wanted, before, after)
+        yield _AlignedRows(rows[kept], near[nearest], wanted * 1e-9)
 
 
-def _align(a: Array, b: Array, starts: tuple[int, int]) -> _AlignedRows:
-    """Each row of `a` since its start, up to the end of the shorter one, with the nearest of `b`.
+def _distinct(blocks: Iterable[Array]) -> Iterator[Array]:
+    """Of several rows at one time, as when the outputs are made safe at the end, the last."""
+    newest: Array | None = None
+    for block in blocks:
+        rows = block if newest is None else joined_rows(newest, block)
+        if len(rows):
+            yield from filter(len, [rows[:-1][np.diff(rows["time_ns"]) > 0]])
+            newest = rows[-1:]
+    if newest is not None:
+        yield newest
 
-    Of several rows at one time, as when the outputs are made safe at the end, the last is used.
-    """
-    a, b = (rows[np.diff(rows["time_ns"], append=_NEVER) > 0] for rows in (a, b))
-    times_a, times_b = (rows["time_ns"].astype(np.int64) - start for rows, start in zip((a, b), starts, strict=True))
-    kept = (times_a >= 0) & (times_a <= times_b[-1])
-    wanted = times_a[kept]
-    after = np.minimum(np.searchsorted(times_b, wanted), len(times_b) - 1)
-    before = np.maximum(after - 1, 0)
-    nearest = np.where(wanted - times_b[before] < times_b[after] - wanted, before, after)
-    return _AlignedRows(a[kept], b[nearest], wanted * 1e-9)
+
+def _since(rows: Array, start: int) -> Array:
+    times_ns: Array = rows["time_ns"].astype(np.int64) - start
+    return times_ns
 
 
 def _compare(
-    message: Message, rows: _AlignedRows, rel: float, left_out: tuple[str, ...] = ()
+    prefix: str, columns: Iterable[Column], aligned: Iterable[_AlignedRows], rel: float
 ) -> Iterator[SignalChange]:
-    prefix = "" if message is TICK else "truth."
-    for column in message.columns:
-        compared = message is TRUTH or column.role is Role.OUTPUT
-        if column.kind is DOUBLE and compared and column.name not in left_out:
-            change = _signal(rows.a[column.name], rows.b[column.name], rows.since_s, rel)
-            if change is not None:
-                yield change._replace(key=prefix + column.name, unit=column.unit)
+    found = {column: _Apart() for column in columns if column.kind is DOUBLE}
+    for rows in aligned:
+        for column, apart in found.items():
+            apart.add(rows.a[column.name], rows.b[column.name], rows.since_s)
+    for column, apart in found.items():
+        if apart.one_sided or apart.most > rel * apart.peak:
+            yield apart.change(prefix + column.name, column.unit)
 
 
-def _signal(a: Array, b: Array, since_s: Array, rel: float) -> SignalChange | None:
-    known = np.isfinite(a) & np.isfinite(b)
-    one_sided = int(((a != b) & ~known & ~(np.isnan(a) & np.isnan(b))).sum())
-    apart = np.abs(a[known] - b[known])
-    largest = int(apart.argmax()) if len(apart) else None
-    most = 0.0 if largest is None else float(apart[largest])
-    peak = float(np.abs(a[known]).max(initial=0.0))
-    if not one_sided and most <= rel * peak:
-        return None
-    at_s = 0.0 if largest is None else float(since_s[known][largest])
-    rms = float(np.sqrt(np.mean(apart**2))) if len(apart) else 0.0
-    return SignalChange("", "", most, at_s, rms, one_sided, len(a))
+class _Apart:
+    """How far a signal of two sessions is apart, block by block."""
+
+    def __init__(self) -> None:
+        self.one_sided = self._ticks = self._known = 0
+        self.most = self.peak = self._at_s = self._squares = 0.0
+
+    def add(self, a: Array, b: Array, since_s: Array) -> None:
+        known = np.isfinite(a) & np.isfinite(b)
+        self.one_sided += int(((a != b) & ~known & ~(np.isnan(a) & np.isnan(b))).sum())
+        self._ticks += len(a)
+        apart = np.abs(a[known] - b[known])
+        if not len(apart):
+            return
+        largest = int(apart.argmax())
+        if apart[largest] > self.most or not self._known:
+            self.most, self._at_s = float(apart[largest]), float(since_s[known][largest])
+        self.peak = max(self.peak, float(np.abs(a[known]).max()))
+        self._squares += float(np.sum(apart**2))
+        self._known += len(apart)
+
+    def change(self, key: str, unit: str) -> SignalChange:
+        rms = math.sqrt(self._squares / self._known) if self._known else 0.0
+        return SignalChange(key, unit, self.most, self._at_s, rms, self.one_sided, self._ticks)
 
 
 _SECTIONS: Final[dict[str, Callable[[Session, Session, float], Iterator[Change | SignalChange]]]] = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import starmap
 from typing import Any, Final
 
@@ -71,14 +71,19 @@ def before_the_gap(session: Session) -> Session:
     """
     if session.metadata.get("session", {}).get("outcome") != RECOVERED:
         return session
-    numbers = session.ticks["tick"]
-    odd = np.flatnonzero(numbers != np.arange(len(numbers)))
-    if not len(odd):
+    whole = 0
+    for ticks, _ in session.blocks():
+        numbers = ticks["tick"]
+        odd = np.flatnonzero(numbers != whole + np.arange(len(numbers)))
+        if len(odd):
+            whole += int(odd[0])
+            break
+        whole += len(ticks)
+    else:
         return session
-    whole = int(odd[0])
     if not whole:
         raise SessionError(f"{session.path}: ticks 0..{numbers[0] - 1} are missing, so nothing can be replayed")
-    return replace(session, ticks=session.ticks[:whole], payload=session.payload[: whole * TICK.size])
+    return session.first(whole)
 
 
 @contextmanager
@@ -108,8 +113,17 @@ def replay_session(
     A compiled loop replays many ticks, or any if `compiled` is true, and none if it is false; where one of them
     differs, or machine code cannot replay it, Python replays all and has the last word.
     """
+    require_inputs(session)
+    found = _compared(session, pipeline, compiled)
+    if not found.others:
+        return Replay(found.ticks, found.braking_ticks, 0, None, {}, found.ticks, session.duration_s)
     logged = session.ticks
-    again, differs = _compared(session, pipeline, compiled)
+    again = logged.copy()
+    for at, rows in found.others.items():
+        again[at : at + len(rows)] = rows
+    _imply_inputs(logged, again)
+    differs = {name: bits(logged[name]) != bits(again[name]) for name in _COMPARED}
+    differs = {name: where for name, where in differs.items() if where.any()}
     tolerated = {}
     for name, tolerance in (tolerances or {}).items():
         if name in differs:
@@ -124,7 +138,7 @@ def replay_session(
         first = _difference(int(again["tick"][agreeing]), name, logged[name][agreeing], again[name][agreeing])
     return Replay(
         len(logged),
-        int((logged["phase"] == Phase.BRAKING).sum()),
+        found.braking_ticks,
         int(any_differs.sum()),
         first,
         {name: int(where.sum()) for name, where in differs.items() if where.any()},
@@ -136,29 +150,57 @@ def replay_session(
     )
 
 
-def _compared(session: Session, pipeline: Pipeline, compiled: bool | None) -> tuple[Array, dict[str, Array]]:
-    """Decisions of a new `pipeline`, and where they differ from the log, by column."""
-    require_inputs(session)
-    logged, again = session.ticks, _compiled_decisions(session, pipeline, compiled)
-    if again is not None:
-        _imply_inputs(logged, again)
-        if _same_bytes(logged, again):  # much faster than column by column
-            return again, {}
-    again = decisions(session, pipeline)
-    _imply_inputs(logged, again)
-    differs = {name: bits(logged[name]) != bits(again[name]) for name in _COMPARED}
-    return again, {name: where for name, where in differs.items() if where.any()}
+class _Comparison:
+    """Decisions compared with the log, block by block."""
+
+    def __init__(self) -> None:
+        self.ticks = self.braking_ticks = 0
+        self.others: dict[int, Array] = {}
+        """Decisions of the blocks that do not agree, by the index of their first tick."""
+        self._before: Array = TICK.array(b"")
+
+    def add(self, logged: Array, again: Array) -> None:
+        """Add the decisions `again` on the next block of the log."""
+        if not (_same_outputs(logged, again) and _inputs_follow(self._before, logged)):
+            self.others[self.ticks] = again
+        self.ticks += len(logged)
+        self.braking_ticks += int((logged["phase"] == Phase.BRAKING).sum())
+        self._before = logged[-1:]
 
 
-def _same_bytes(logged: Array, again: Array) -> bool:
-    blocks = (slice(first, first + _BLOCK) for first in range(0, len(logged), _BLOCK))
-    return all(np.array_equal(logged[block].view(np.uint8), again[block].view(np.uint8)) for block in blocks)
-
-
-def _compiled_decisions(session: Session, pipeline: Pipeline, compiled: bool | None) -> Array | None:
+def _compared(session: Session, pipeline: Pipeline, compiled: bool | None) -> _Comparison:
+    """Decisions of a new `pipeline` beside the log."""
     loops = compiled_loops(session, pipeline.estimator, pipeline.machine.controller, compiled)
-    found: Array | None = loops and loops.module.replay_rows(pipeline, session.ticks, loops.may_compile)
+    if loops is not None:
+        found, replay = _Comparison(), loops.module.CompiledReplay(pipeline, loops.may_compile)
+        for logged in _ticks(session):
+            again = replay.decide(logged)
+            if again is None:
+                break
+            found.add(logged, again)
+        else:
+            if not found.others:
+                return found
+    found = _Comparison()
+    with recorded_arithmetic(session):
+        for logged in _ticks(session):
+            found.add(logged, TICK.array_of(starmap(pipeline.step, _samples(logged))))
     return found
+
+
+def _same_outputs(logged: Array, again: Array) -> bool:
+    blocks = (slice(first, first + _BLOCK) for first in range(0, len(logged), _BLOCK))
+    if all(np.array_equal(logged[block].view(np.uint8), again[block].view(np.uint8)) for block in blocks):
+        return True  # much faster than column by column
+    return all(np.array_equal(bits(logged[name]), bits(again[name])) for name in OUTPUTS)
+
+
+def _inputs_follow(before: Array, logged: Array) -> bool:
+    """Whether ticks are consecutive, from the tick `before` on, and dt_s is the time since the previous one."""
+    numbers, times_ns = (np.concatenate([before[name], logged[name]]).astype(np.int64) for name in ("tick", "time_ns"))
+    since_s = np.diff(times_ns) / 1e9
+    dt_s = logged["dt_s"][len(logged) - len(since_s) :]
+    return bool((np.diff(numbers) == 1).all() and (bits(dt_s) == bits(since_s)).all())
 
 
 def decisions(session: Session, pipeline: Pipeline) -> Array:
@@ -166,7 +208,6 @@ def decisions(session: Session, pipeline: Pipeline) -> Array:
 
     Raises SessionError as `require_inputs`.
     """
-    require_inputs(session)
     with recorded_arithmetic(session):
         return TICK.array_of(starmap(pipeline.step, samples(session)))
 
@@ -178,20 +219,36 @@ def require_known(session: Session) -> None:
 
 
 def require_inputs(session: Session) -> None:
-    """Raise SessionError if the session has no ticks, is not fully supported, or has an impossible dt_s."""
-    if not len(session.ticks):
+    """Raise SessionError if the session has no ticks, is only a part of one, or is not fully supported."""
+    if not session.tick_count:
         raise SessionError(f"{session.path}: has no ticks")
+    if session.window_s is not None:
+        raise SessionError(
+            f"{session.path}: from {session.window_s[0]:g} s on: decisions depend on all ticks before them; "
+            "replay the whole session"
+        )
     require_known(session)
-    impossible = np.flatnonzero(~(np.abs(session.ticks["dt_s"]) < _LONGEST_S))
-    if len(impossible):
-        tick, dt_s = (session.ticks[name][impossible[0]] for name in ("tick", "dt_s"))
-        raise SessionError(f"{session.path}: tick {tick}: dt_s is {dt_s} s: must be less than {_LONGEST_S:.0f} s")
 
 
 def samples(session: Session) -> Iterator[tuple[Sample, Reason]]:
     """The session's inputs: samples, and reasons of requested stops. Raises SessionError as `require_inputs`."""
     require_inputs(session)
-    for time_ns, tick, dt_s, wheel, road, flags, request in TICK.values(session.payload, _INPUTS):
+    for ticks in _ticks(session):
+        yield from _samples(ticks)
+
+
+def _ticks(session: Session) -> Iterator[Array]:
+    """The session's ticks in blocks. Raises SessionError for an impossible dt_s."""
+    for ticks, _ in session.blocks():
+        impossible = np.flatnonzero(~(np.abs(ticks["dt_s"]) < _LONGEST_S))
+        if len(impossible):
+            tick, dt_s = (ticks[name][impossible[0]] for name in ("tick", "dt_s"))
+            raise SessionError(f"{session.path}: tick {tick}: dt_s is {dt_s} s: must be less than {_LONGEST_S:.0f} s")
+        yield ticks
+
+
+def _samples(ticks: Array) -> Iterator[tuple[Sample, Reason]]:
+    for time_ns, tick, dt_s, wheel, road, flags, request in TICK.values(ticks.view(np.uint8).data, _INPUTS):
         sample = Sample(tick, time_ns, dt_s, wheel, road, BoardFlags(flags) if flags else _NO_FLAGS)
         yield sample, Reason(request) if request else _NO_REQUEST
 

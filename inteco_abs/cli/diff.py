@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from inteco_abs.cli.options import DIFFERS, FILE, LOSSES, Finite, json_option
-from inteco_abs.cli.session_files import read_on_disk, read_whole
+from inteco_abs.cli.session_files import read_whole
 from inteco_abs.cli.terminal import plain, print_json, say
 from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 
@@ -31,11 +31,12 @@ def diff(a: Path, b: Path, only: tuple[str, ...], rel: float, as_json: bool) -> 
     --rel 0.05, metrics may differ by 5 % and signals by 5 % of their peak. Ends with 4 if a compared section differs.
     """
     from inteco_abs.analysis import SECTIONS, diff_sessions
+    from inteco_abs.sessions import read_session
 
     unknown = [name for name in only if name not in SECTIONS]
     if mistakes := [ConfigIssue("--only", f"no section {name!r}{near_match(name, SECTIONS)}") for name in unknown]:
         raise ConfigError(mistakes)
-    first, second = (read_whole(file, read_on_disk) for file in (a, b))
+    first, second = (read_whole(file, read_session) for file in (a, b))
     found = diff_sessions(first, second, only, rel)
     if as_json:
         changes = {name: [change._asdict() for change in of_section] for name, of_section in found.changes.items()}

@@ -27,14 +27,14 @@ def extract(file: Path, name: str | None, out: Path | None, as_json: bool) -> in
 
     NAME is one of those listed, as config.toml.
     """
-    from inteco_abs.sessions import attached, read_session
+    from inteco_abs.sessions import attached, open_session
     from inteco_abs.sessions import extract as write_attachment
 
     if name is None and out is not None:
         raise ConfigError.of("--out", f"{out}: name the file to write there: extract FILE NAME --out OUT")
     if name is not None and out is None and as_json:
         raise ConfigError.of("--json", "standard output has the file itself; name another place with --out")
-    session = read_whole(file, read_session)
+    session = read_whole(file, open_session)
     if name is None:
         _list(session, as_json)
     elif out is None:

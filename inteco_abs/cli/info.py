@@ -28,9 +28,9 @@ def info(file: Path, everything: bool, as_json: bool) -> int:
 
     --json prints all of it.
     """
-    from inteco_abs.sessions import read_session
+    from inteco_abs.sessions import open_session
 
-    session = read_whole(file, read_session)
+    session = read_whole(file, open_session)
     summary = _summary(session)
     if as_json:
         print_json(summary)
@@ -42,15 +42,13 @@ def info(file: Path, everything: bool, as_json: bool) -> int:
 def _summary(session: Session) -> dict[str, Any]:
     from inteco_abs.sessions import stored_card
 
-    ticks = session.ticks
-    seconds = (int(ticks["time_ns"][-1]) - int(ticks["time_ns"][0])) * 1e-9 if len(ticks) else 0.0
     return {
         "schema_version": 1,
         "session": str(session.path),
         "incomplete": session.incomplete,
         "beyond": session.unsupported,
-        "ticks": len(ticks),
-        "duration_s": seconds,
+        "ticks": session.tick_count,
+        "duration_s": session.duration_s,
         "events": session.events,
         "frames": session.frames,
         "attachments": {name: len(data) for name, data in session.attachments.items()},

@@ -25,7 +25,6 @@ from inteco_abs.cli.options import (
     run_options,
 )
 from inteco_abs.cli.run import brake, checked_replay, report_end
-from inteco_abs.cli.session_files import read_on_disk
 from inteco_abs.cli.terminal import print_json, say, show
 from inteco_abs.errors import AbsError, ConfigError
 
@@ -195,7 +194,7 @@ def _report(paths: list[Path], figure: Path | None, *, as_json: bool) -> None:
         show(render_series(spreads))
     if figure is not None:
         try:
-            draw_series([read_on_disk(path) for path in paths], figure)
+            draw_series(map(read_session, paths), figure)
         except AbsError as error:  # how the stops went matters more than their picture
             say(f"inteco-abs: {error}", err=True)
         else:

@@ -66,7 +66,7 @@ def replay(file: Path, controller: str | None, tolerances: tuple[str, ...], as_j
     recorded = read_whole(file, read_session)
     require_known(recorded)
     session = before_the_gap(recorded)
-    left_out = len(recorded.ticks) - len(session.ticks)
+    left_out = recorded.tick_count - session.tick_count
     controllers = controllers_for(session, controller)
     config = session_config(session, (control_check(controllers),))
     gains = changed_gains(session, {REFERENCE: config.controller.reference_slip, **gains_in_force(config, controllers)})

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,15 +11,6 @@ from inteco_abs.errors import ConfigError
 
 if TYPE_CHECKING:
     from inteco_abs.sessions import Session
-
-
-def read_on_disk(file: Path) -> Session:
-    """The session in `file`, with its rows in a temporary file instead of memory."""
-    import tempfile
-
-    from inteco_abs.sessions import read_session
-
-    return read_session(file, Path(tempfile.gettempdir()))
 
 
 def read_whole(file: Path, reader: Callable[[Path], Session]) -> Session:
@@ -33,7 +23,7 @@ def read_whole(file: Path, reader: Callable[[Path], Session]) -> Session:
 def report_losses(session: Session) -> None:
     """Report what a session lacks, and what to do about it."""
     if session.incomplete:
-        ticks = len(session.ticks)
+        ticks = session.tick_count
         whole = f"{ticks} ticks are complete{'; recover makes a session of them' if ticks else ''}"
         say(f"inteco-abs: {session.path}: {session.incomplete}; {whole}", err=True)
     if session.unsupported:
@@ -43,9 +33,9 @@ def report_losses(session: Session) -> None:
 def draw(files: Sequence[Path], out: Path, width: str = "two") -> bool:
     """Draw stops to `out`; return whether every file was complete and fully understood."""
     from inteco_abs.sessions import read_session
-    from inteco_abs.views.figure import COLUMNS, draw_stops
+    from inteco_abs.views.figure import draw_stops
 
-    sessions = [read_whole(file, partial(read_session, columns=COLUMNS)) for file in files]
+    sessions = [read_whole(file, read_session) for file in files]
     draw_stops(sessions, out, width)
     say(f"figure: {out}", err=True)
     return not any(session.incomplete or session.unsupported for session in sessions)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 from contextlib import redirect_stdout
-from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -13,7 +12,6 @@ from inteco_abs.control import CONTROLLERS, build_pipeline
 from inteco_abs.errors import AbsError
 from inteco_abs.experiment.plan import Plan
 from inteco_abs.experiment.user_code import time_limit
-from inteco_abs.format import TICK
 from inteco_abs.plugins import late_files
 from inteco_abs.sessions import RunResult, Session, read_session
 from inteco_abs.signals import Reason
@@ -44,11 +42,11 @@ def replay_problem(config: RigConfig, plan: Plan, result: RunResult) -> str:
 
 def _beginning(path: Path) -> Session:
     session = read_session(path)
-    return replace(session, ticks=session.ticks[:CHECKED_TICKS], payload=session.payload[: CHECKED_TICKS * TICK.size])
+    return session.first(CHECKED_TICKS)
 
 
 def _difference(config: RigConfig, plan: Plan, session: Session) -> str:
-    if not len(session.ticks):
+    if not session.tick_count:
         return ""
     from inteco_abs.analysis import recorded_arithmetic, replay_session  # noqa: PLC0415  50 ms, not before the run
 

@@ -37,6 +37,7 @@ from inteco_abs.sessions.provenance import host_facts, profile_source, software_
 from inteco_abs.sessions.reader import (
     Session,
     is_session_file,
+    open_session,
     opened,
     read_metadata,
     read_session,
@@ -44,6 +45,7 @@ from inteco_abs.sessions.reader import (
     stored_rows,
 )
 from inteco_abs.sessions.recovery import Recovery, recover_session
+from inteco_abs.sessions.rows import PhaseSpan, joined_rows
 from inteco_abs.sessions.session_writer import EXIT_CODES, LOSSES, RunEnd, RunHeader, RunResult, SessionWriter
 from inteco_abs.sessions.tables import Table, tables, to_pandas, to_polars
 from inteco_abs.sessions.validation import Inspection, SessionIssue, Severity, validate
@@ -73,6 +75,7 @@ __all__ = [
     "Inspection",
     "Metadata",
     "Opener",
+    "PhaseSpan",
     "Recovery",
     "RunEnd",
     "RunHeader",
@@ -100,9 +103,11 @@ __all__ = [
     "host_facts",
     "is_session_file",
     "joined",
+    "joined_rows",
     "link_errors",
     "nearest_folder",
     "newer",
+    "open_session",
     "opened",
     "other_arithmetic",
     "pack_event",

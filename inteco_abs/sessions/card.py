@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from bisect import bisect_right
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from itertools import pairwise
 from typing import Any, Final
 
@@ -19,20 +18,23 @@ from inteco_abs.quantities import finite
 from inteco_abs.rig import nominal_parameters
 from inteco_abs.sessions.metrics import StopTrace, stop_metrics
 from inteco_abs.sessions.reader import Session, session_config
+from inteco_abs.sessions.rows import in_step
 from inteco_abs.signals import BoardFlags, Phase
 
 _MOST_DIGITS: Final = 18
 """Most digits of an integer in a card; the counts of a run have fewer."""
-
-_BLOCK_TICKS: Final = 1 << 16
 
 Array = npt.NDArray[Any]
 
 
 def result_card(config: RigConfig | None, ticks: Array, truth: Array) -> dict[str, Any]:
     """The card of a complete run, without a configuration only its timing; `truth` has no rows on a real rig."""
+    return _card_of_blocks(config, in_step([(ticks, truth)]))
+
+
+def _card_of_blocks(config: RigConfig | None, blocks: Iterable[tuple[Array, Array]]) -> dict[str, Any]:
     card = RunningCard(config)
-    for rows, states in in_step(ticks, truth):
+    for rows, states in blocks:
         card.add(rows, states)
     return card.card()
 
@@ -40,17 +42,6 @@ def result_card(config: RigConfig | None, ticks: Array, truth: Array) -> dict[st
 def link_errors(ticks: Array) -> int:
     """Ticks whose exchange with the board failed."""
     return int(((ticks["board_flags"] & BoardFlags.STALE) != 0).sum())
-
-
-def in_step(ticks: Array, truth: Array, rows: int = _BLOCK_TICKS) -> Iterator[tuple[Array, Array]]:
-    """Blocks of ticks, each with the states up to its last tick; views, without a copy."""
-    done = 0
-    for at in range(0, len(ticks), rows):
-        block = ticks[at : at + rows]
-        until = bisect_right(truth, block[-1]["time_ns"], lo=done, key=lambda row: row["time_ns"])
-        end = len(truth) if at + rows >= len(ticks) else max(until, min(len(truth), 1))
-        yield block, truth[done:end]
-        done = end
 
 
 class RunningCard:
@@ -210,7 +201,7 @@ def card_of(session: Session) -> dict[str, Any] | None:
     if stored is not None:
         return stored
     try:
-        return result_card(session_config(session, ()), session.ticks, session.truth)
+        return _card_of_blocks(session_config(session, ()), session.blocks())
     except SessionError:
         return None
 

@@ -36,6 +36,10 @@ _MESSAGE_BEGIN: Final = struct.Struct("<BQH")
 """Type, length and channel of a message."""
 _NUMBERS: Final = struct.Struct("<HIQ")
 """Channel, sequence and log time of a message."""
+BY_CHANNEL: Final = struct.Struct("<HQ")
+"""Channel and number, or place, of its messages."""
+_CHANNELS_AT: Final = 9 + 4 * 8 + 4
+"""Bytes of a chunk's index before the places of its channels' messages."""
 _SAME: Final = 11
 """Bytes of type, length and channel at the beginning of a message."""
 _ONE_BY_ONE: Final = 24
@@ -315,6 +319,50 @@ def _variable_run(raw: bytes, start: int, channel: int) -> VariableRun:
     return VariableRun(channel, count, raw, start, at)
 
 
+def chunk_index(summary: bytes) -> tuple[list[Entry], list[npt.NDArray[np.void]]]:
+    """Other records of a summary, and its chunk indexes, alike ones in one array; raises DamagedError.
+
+    Columns `first_ns`, `last_ns`, `start`, `size`, and `channels`, the channels' numbers of each chunk.
+    """
+    others, listed, at = list[Entry](), list[npt.NDArray[np.void]](), 0
+    while at < len(summary):
+        if at + HEAD.size > len(summary):
+            raise DamagedError(f"the index has {len(summary) - at} bytes after its last record")
+        opcode, length = HEAD.unpack_from(summary, at)
+        end = at + HEAD.size + length
+        if end > len(summary):
+            raise DamagedError(f"the index holds a record of {length} bytes, which leaves it")
+        if opcode != Opcode.CHUNK_INDEX:
+            others.append(Entry(opcode, at + HEAD.size, memoryview(summary)[at + HEAD.size : end]))
+            at = end
+            continue
+        rows = _alike_indexes(summary, at, end - at)
+        listed.append(rows)
+        at += (end - at) * len(rows)
+    return others, listed
+
+
+def _alike_indexes(summary: bytes, at: int, stride: int) -> npt.NDArray[np.void]:
+    """Chunk indexes from `at` on that are as long as the first and have as many channels."""
+    if stride < _CHANNELS_AT:
+        raise DamagedError("the index of a chunk is too short")
+    (room,) = _INTEGERS["I"].unpack_from(summary, at + _CHANNELS_AT - 4)
+    if room % BY_CHANNEL.size or _CHANNELS_AT + room > stride:
+        raise DamagedError("the index of a chunk is not valid")
+    number = room // BY_CHANNEL.size
+    count = _long_run(summary, at, stride, 1, (len(summary) - at) // stride, HEAD.size)
+    columns: list[Any] = [
+        ("head", f"V{HEAD.size}"),
+        *((name, "<u8") for name in ("first_ns", "last_ns", "start", "size")),
+    ]
+    columns += [("room", "<u4"), ("channels", [("number", "<u2"), ("messages_at", "<u8")], (number,))]
+    columns.append(("rest", f"V{stride - _CHANNELS_AT - room}"))
+    rows: npt.NDArray[np.void] = np.ndarray(count, np.dtype(columns), summary, at)
+    if (rows["room"] != room).any():
+        raise DamagedError("the index of a chunk is not valid")
+    return rows
+
+
 def _fixed_run(raw: bytes, at: int, length: int) -> npt.NDArray[np.void]:
     """Messages from `at` with the type, length and channel of the first."""
     stride = HEAD.size + length
@@ -328,10 +376,10 @@ def _fixed_run(raw: bytes, at: int, length: int) -> npt.NDArray[np.void]:
     return np.ndarray(count, message_dtype(length - MESSAGE_HEAD), raw, at)
 
 
-def _long_run(raw: bytes, at: int, stride: int, count: int, most: int) -> int:
-    """Length of a run of `count` to `most` messages."""
-    # the eleven bytes of type, length and channel of every record, as two overlapping integers
-    heads = [np.ndarray(most, "<u8", raw, at + skip, (stride,)) for skip in (0, _SAME - 8)]
+def _long_run(raw: bytes, at: int, stride: int, count: int, most: int, same: int = _SAME) -> int:
+    """Length of a run of `count` to `most` records that begin with the `same` bytes."""
+    # the first eleven bytes of a message, type, length and channel, as two overlapping integers
+    heads = [np.ndarray(most, "<u8", raw, at + skip, (stride,)) for skip in (0, same - 8)]
     ahead = _ONE_BY_ONE
     while count < most:
         others = np.logical_or.reduce([head[count : count + ahead] != head[0] for head in heads])

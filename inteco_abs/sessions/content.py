@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import struct
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple, Self
 
@@ -26,7 +26,6 @@ from inteco_abs.sessions.container import (
     text_map,
 )
 from inteco_abs.sessions.migration import MessageLayout, message_layout, newer
-from inteco_abs.sessions.storage import Rows
 
 CONFIG_NAME: Final = "config.toml"
 CONTROLLER_SOURCE: Final = "controller.py"
@@ -115,8 +114,6 @@ def _repacked(runs: Sequence[FixedRun], found: MessageLayout) -> bytes:
 class Content:
     """What was read so far."""
 
-    rows: Mapping[str, Rows] = field(default_factory=dict)
-    """Storage for ticks and truths by topic, back to back."""
     budget: DecompressionBudget = field(default_factory=lambda: DecompressionBudget(0))
     library: str = LIBRARY
     """Program that wrote the file; this one, unless the header names another."""
@@ -141,6 +138,8 @@ class Content:
     attachments: dict[str, Attached] = field(default_factory=dict)
     epoch_ns: int | None = None
     """UNIX time of the monotonic clock's zero; None before the first tick."""
+    incomplete: str = ""
+    """Where a cut file ends; empty for a complete one."""
     hash: hashlib._Hash = field(default_factory=hashlib.sha256)
     """Hash of the ticks as recorded."""
 
@@ -177,10 +176,27 @@ class Content:
         for run in runs.get(PARAMETERS_TOPIC, ()):
             self.budget.part(len(run.rows), run.rows.nbytes)
             self.parameters += map(parameters, run.rows["data"].tolist())
-        batches = {topic: Batch.of(runs[topic], self.layouts[topic]) for topic in FLAT if topic in runs}
-        for topic, batch in batches.items():
-            self._keep(topic, batch)
+        batches = self.batches(runs)
+        if TICK.topic in batches:
+            ticks = batches[TICK.topic]
+            self.hash.update(ticks.data)
+            if self.epoch_ns is None:
+                self.epoch_ns = int(ticks.log_time[0]) - int(ticks.values["time_ns"][0])
         return batches
+
+    def batches(self, runs: Mapping[str, Sequence[FixedRun]]) -> dict[str, Batch]:
+        """Ticks and truths among messages by topic. Raises DamagedError."""
+        return {topic: Batch.of(runs[topic], self.layouts[topic]) for topic in FLAT if topic in runs}
+
+    def runs(self, raw: bytes, topics: Collection[str]) -> dict[str, list[FixedRun]]:
+        """Messages of `topics` in an unpacked chunk whose channels are known, by topic. Raises DamagedError."""
+        found: dict[str, list[FixedRun]] = {}
+        for part in chunk_parts(raw, self.variable_size):
+            if isinstance(part, FixedRun) and part.channel in self.channels:
+                topic = self.channels[part.channel][0]
+                if topic in topics:
+                    found.setdefault(topic, []).append(part)
+        return found
 
     def take_log(self, runs: Iterable[FixedRun]) -> None:
         """Read log entries. Raises DamagedError at one that is not valid."""
@@ -214,14 +230,6 @@ class Content:
     def announces_ticks(self) -> bool:
         """Whether a channel has the topic of ticks."""
         return any(topic == TICK.topic for topic, _ in self.channels.values())
-
-    def _keep(self, topic: str, batch: Batch) -> None:
-        if topic == TICK.topic:
-            self.hash.update(batch.data)
-            if self.epoch_ns is None:
-                self.epoch_ns = int(batch.log_time[0]) - int(batch.values["time_ns"][0])
-        if topic in self.rows:
-            self.rows[topic].write(batch.upgraded)
 
     def _take_header(self, data: memoryview) -> None:
         _, self.library = fields(Opcode.HEADER, data, exact=True)

@@ -6,7 +6,7 @@ import csv
 import importlib.util
 import json
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -19,8 +19,6 @@ from inteco_abs.errors import AbsError, SessionError, describe_disk
 from inteco_abs.sessions.files import atomic_write, check_output
 from inteco_abs.sessions.reader import Session, read_session
 from inteco_abs.sessions.tables import Table, columns_of, tables
-
-_BLOCK_ROWS: Final = 1 << 14
 
 
 class ExportedFile(NamedTuple):
@@ -49,7 +47,7 @@ class _Format(NamedTuple):
 
 
 def export_session(source: Path, form: str, out: Path) -> Export:
-    """Write the session at `source` to `out` in one of `FORMATS`; an hour needs little memory.
+    """Write the session at `source` to `out` in one of `FORMATS`; an hour needs little memory, but as MATLAB file.
 
     In a format with one table per file, `out` has the ticks; the other tables, and units and meanings if the format
     cannot hold them, go to files beside it, such as `stop.truth.csv`. Raises ConfigError, SessionError, or AbsError
@@ -59,7 +57,7 @@ def export_session(source: Path, form: str, out: Path) -> Export:
     if chosen.package and importlib.util.find_spec(chosen.package) is None:
         raise AbsError(f"--format {form} needs {chosen.package}: pip install 'inteco-abs[export]'")
     check_output(out)
-    session = read_session(source, out.parent)
+    session = read_session(source)
     found = tables(session)
     if not chosen.has_units:
         found.append(columns_of(found))
@@ -71,7 +69,7 @@ def export_session(source: Path, form: str, out: Path) -> Export:
         for path, group in zip(paths, groups, strict=True):
             _write(chosen, path, parts.enter_context(atomic_write(path)), group, session)
     files = [
-        ExportedFile(path, tuple(table.name for table in group), sum(len(table.rows) for table in group))
+        ExportedFile(path, tuple(table.name for table in group), sum(table.number for table in group))
         for path, group in zip(paths, groups, strict=True)
     ]
     return Export(session, files)
@@ -90,8 +88,8 @@ def _csv(path: Path, group: list[Table], _session: Session) -> None:
     with path.open("x", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(table.units)
-        for first, end in _blocks(table):
-            columns = [table.column(name, first, end) for name in table.units]
+        for rows in table.blocks():
+            columns = [rows[name] for name in table.units]
             numbers = [column.view(np.uint8) if column.dtype == bool else column for column in columns]
             writer.writerows(zip(*(column.tolist() for column in numbers), strict=True))
 
@@ -99,12 +97,12 @@ def _csv(path: Path, group: list[Table], _session: Session) -> None:
 def _npz(path: Path, group: list[Table], session: Session) -> None:
     with zipfile.ZipFile(path, "x") as archive:
         for table in group:
-            packed = repack_fields(table.rows[:0])
+            packed = repack_fields(np.empty(0, table.dtype))
             with archive.open(f"{table.name}.npy", "w", force_zip64=True) as file:
-                head = {"descr": npy.dtype_to_descr(packed.dtype), "fortran_order": False, "shape": (len(table.rows),)}
+                head = {"descr": npy.dtype_to_descr(packed.dtype), "fortran_order": False, "shape": (table.number,)}
                 npy.write_array_header_2_0(file, head)
-                for first, end in _blocks(table):
-                    file.write(repack_fields(table.rows[first:end]).tobytes())
+                for rows in table.blocks():
+                    file.write(repack_fields(rows).tobytes())
         for name, text in _texts(group, session).items():
             with archive.open(f"{name}.npy", "w") as file:
                 npy.write_array(file, np.array(text))
@@ -122,7 +120,8 @@ def _mat(path: Path, group: list[Table], session: Session) -> None:
 
 def _struct(table: Table) -> dict[str, Any]:
     """Columns by name; texts as a cell array."""
-    columns = {name: table.rows[name] for name in table.units}
+    rows = table.rows
+    columns = {name: rows[name] for name in table.units}
     return {name: values.astype(object) if values.dtype.kind == "U" else values for name, values in columns.items()}
 
 
@@ -137,13 +136,12 @@ def _parquet(path: Path, group: list[Table], session: Session) -> None:
             pa.string() if values.kind == "U" else pa.from_numpy_dtype(values),
             metadata={"unit": table.units[name], "meaning": table.meanings[name]},
         )
-        for name, values in ((name, table.rows.dtype[name]) for name in table.units)
+        for name, values in ((name, table.dtype[name]) for name in table.units)
     ]
     schema = pa.schema(fields, metadata={"inteco_abs": _texts(group, session)["metadata"]})
     with parquet.ParquetWriter(path, schema, compression="zstd") as writer:
-        for first, end in _blocks(table):
-            columns = [table.column(name, first, end) for name in table.units]
-            arrays = [pa.array(values, field.type) for values, field in zip(columns, fields, strict=True)]
+        for rows in table.blocks():
+            arrays = [pa.array(np.ascontiguousarray(rows[field.name]), field.type) for field in fields]
             writer.write_batch(pa.record_batch(arrays, schema))
 
 
@@ -154,11 +152,6 @@ def _texts(group: list[Table], session: Session) -> dict[str, str]:
         "meanings": json.dumps({table.name: table.meanings for table in group}),
         "metadata": json.dumps({**session.metadata, "epoch": {"unix_ns": str(session.epoch_ns)}}),
     }
-
-
-def _blocks(table: Table) -> Iterator[tuple[int, int]]:
-    for first in range(0, len(table.rows), _BLOCK_ROWS):
-        yield first, min(first + _BLOCK_ROWS, len(table.rows))
 
 
 FORMATS: Final[dict[str, _Format]] = {

@@ -14,12 +14,11 @@ import numpy as np
 import numpy.typing as npt
 import zstandard
 
-from inteco_abs.sessions.container import MAGIC, MESSAGE_HEAD, Opcode, message_dtype, record
+from inteco_abs.sessions.container import BY_CHANNEL, MAGIC, MESSAGE_HEAD, Opcode, message_dtype, record
 
 _MESSAGE: Final = struct.Struct("<BQHIQQ")
 """A message before its data: type, length, channel, sequence, log and publish time."""
 _ENTRY: Final = struct.Struct("<QQ")
-_BY_CHANNEL: Final = struct.Struct("<HQ")
 _COMPRESSION: Final = "zstd"
 _NEVER: Final = (1 << 64, 0)
 """First and last time of no message."""
@@ -114,7 +113,7 @@ class McapWriter:
         self._write(record(Opcode.CHUNK, first_ns, last_ns, size, zlib.crc32(self._chunk), _COMPRESSION, packed))
         end, offsets = self._at, b""
         for channel, entries in self._indices.items():
-            offsets += _BY_CHANNEL.pack(channel, self._at)
+            offsets += BY_CHANNEL.pack(channel, self._at)
             self._write(record(Opcode.MESSAGE_INDEX, channel, entries))
         places = at, end - at, offsets, self._at - end
         self._list(Opcode.CHUNK_INDEX, first_ns, last_ns, *places, _COMPRESSION, len(packed), size)
@@ -145,7 +144,7 @@ class McapWriter:
             )
         )
         span_ns = self._whole_span_ns if self._messages else (0, 0)
-        messages = b"".join(_BY_CHANNEL.pack(*each) for each in self._messages.items())
+        messages = b"".join(BY_CHANNEL.pack(*each) for each in self._messages.items())
         self._list(Opcode.STATISTICS, sum(self._messages.values()), *numbers, *span_ns, messages)
 
     def _take(self, channel: int, records: bytes, entries: bytes, span_ns: tuple[int, int]) -> None:

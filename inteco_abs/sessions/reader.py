@@ -1,23 +1,27 @@
-"""Reads a session into numpy arrays. A damaged file raises an error; a cut one is read as far as it goes."""
+"""Reads sessions, whole or by their index. A damaged file raises an error; a cut one is read as far as it goes."""
 
 from __future__ import annotations
 
+import math
 import os
 import struct
 import zlib
-from collections.abc import Collection, Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import islice
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import BinaryIO, Final, Self, TypeVar, overload
 
 import numpy as np
 import numpy.typing as npt
 
 from inteco_abs.config import Check, RigConfig, parse_config
 from inteco_abs.errors import ConfigError, SessionError, near_file
-from inteco_abs.format import TICK, Message
+from inteco_abs.format import IO_TOPIC, LOG_TOPIC, PARAMETERS_TOPIC, TICK, TRUTH
 from inteco_abs.sessions.container import (
+    BY_CHANNEL,
     HEAD,
     LARGEST_RECORD,
     MAGIC,
@@ -25,22 +29,48 @@ from inteco_abs.sessions.container import (
     DecompressionBudget,
     Entry,
     Opcode,
+    chunk_index,
     chunk_parts,
     fields,
     kind,
     unpack_chunk,
 )
-from inteco_abs.sessions.content import CONFIG_NAME, FLAT, LIBRARY, Content, LogEntry, Parameters
+from inteco_abs.sessions.content import (
+    CONFIG_NAME,
+    FLAT,
+    LIBRARY,
+    Batch,
+    Content,
+    LogEntry,
+    Parameters,
+    event,
+    parameters,
+)
 from inteco_abs.sessions.migration import Metadata, UnsupportedError, migrated
+from inteco_abs.sessions.rows import (
+    BLOCK_TICKS,
+    Chunks,
+    FirstTicks,
+    GatheredRows,
+    Part,
+    Rows,
+    RowsInMemory,
+    StoredRows,
+    damaged,
+    in_step,
+    places,
+    whole,
+)
 from inteco_abs.sessions.scanner import RecordFile
-from inteco_abs.sessions.storage import ColumnsInMemory, Rows, RowsInMemory, RowsOnDisk
 
 _BEGINNING: Final = 64
 """Bytes from which the type of a file that is not a session is recognised."""
-_LATEST_NS: Final = (1 << 63) - 1
+_LONGEST_S: Final = 1e9
+"""Longer than any session; its nanoseconds fit into 64 bits."""
 _FOOTER: Final = struct.Struct("<QQI")
 _TAIL: Final = HEAD.size + _FOOTER.size + len(MAGIC)
-_LARGEST_METADATA: Final = 1 << 22
+_LISTED: Final = {Opcode.METADATA_INDEX: Opcode.METADATA, Opcode.ATTACHMENT_INDEX: Opcode.ATTACHMENT}
+"""Kinds of records by the kinds of their indexes."""
 _OTHERS: Final = {
     b"#ROSBAG": "a ROS bag; this program reads only its own sessions",
     b"SQLite format 3": "an SQLite database, as ROS 2 bags are; this program reads only its own sessions",
@@ -55,26 +85,29 @@ _OTHERS: Final = {
 """Other types of files by their first bytes."""
 
 
+Item = TypeVar("Item")
+
+
 @dataclass(frozen=True, slots=True)
 class Session:
-    """The content of a session file."""
+    """The content of a session file.
+
+    Rows of a long session are not in memory: `blocks` goes through them, `session[10.0:11.0]` is a part of them, and
+    `ticks` and `truth` read all of them each time.
+    """
 
     path: Path
-    ticks: npt.NDArray[np.void]
-    """One row per tick; columns such as `time_ns`, `slip` and `brake`, with units as in `schema.TICK`."""
-    payload: bytes | memoryview
-    """The ticks as messages of this version, back to back."""
-    truth: npt.NDArray[np.void]
-    """One row per tick on a simulated board, none on a real one; columns as in `schema.TRUTH`."""
+    rows: Rows
+    """Where ticks and truth are."""
     metadata: dict[str, dict[str, str]]
     """Metadata by record name without `inteco_abs.`; records of one name are merged, the later one wins."""
     attachments: dict[str, bytes]
     """Contents by name, such as `config.toml`."""
     channels: dict[str, dict[str, str]]
     """Metadata of each channel, by topic."""
-    log: tuple[LogEntry, ...]
+    log: Sequence[LogEntry]
     """Changes of phase, faults and warnings, as text."""
-    parameters: tuple[Parameters, ...]
+    parameters: Sequence[Parameters]
     """Gains and reference in force, each from its tick."""
     epoch_ns: int
     """UNIX time of the monotonic clock's zero, ns; 0 without ticks."""
@@ -84,34 +117,139 @@ class Session:
     """What this version does not know or does not find in it; empty if nothing. Such a session is not replayed."""
     frames: int = 0
     """Number of messages between host and board; `read_frames` reads them."""
+    window_s: tuple[float, float] | None = None
+    """First and last time of a part of a session, s since its first tick; None for a whole one."""
+
+    @property
+    def ticks(self) -> npt.NDArray[np.void]:
+        """One row per tick; columns such as `time_ns`, `slip` and `brake`, with units as in `schema.TICK`.
+
+        Raises SessionError, as `truth`, `payload`, `blocks` and a part do, if the file has changed or is damaged.
+        """
+        return whole(self.rows.parts())[0]
+
+    @property
+    def truth(self) -> npt.NDArray[np.void]:
+        """One row per tick on a simulated board, none on a real one; columns as in `schema.TRUTH`."""
+        return whole(self.rows.parts())[1]
+
+    @property
+    def payload(self) -> memoryview:
+        """The ticks as messages of this version, back to back."""
+        return self.ticks.view(np.uint8).data.toreadonly()
+
+    @property
+    def tick_count(self) -> int:
+        """Number of ticks."""
+        return self.rows.numbers[TICK.topic]
+
+    @property
+    def truth_count(self) -> int:
+        """Number of rows of `truth`."""
+        return self.rows.numbers[TRUTH.topic]
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first to the last tick; 0 without ticks."""
+        first, last = self.rows.edges()
+        return (int(last["time_ns"][0]) - int(first["time_ns"][0])) * 1e-9 if len(first) else 0.0
 
     @property
     def events(self) -> int:
         """Lines in the log."""
         return len(self.log)
 
+    def blocks(self, ticks: int = BLOCK_TICKS) -> Iterator[Part]:
+        """All rows in blocks of `ticks` ticks, the last one shorter, each with the truth up to its last tick."""
+        return in_step(self.rows.parts(), ticks, self.truth_count)
 
-def read_session(path: Path, spool: Path | None = None, columns: Collection[str] | None = None) -> Session:
-    """The session at `path`. A cut file is read up to its last intact record, and `incomplete` says where that is.
+    def __getitem__(self, part: slice) -> Self:
+        """The part from `start` to before `stop`, in s since the first tick, as `session[10.0:11.0]`; in memory.
 
-    With the folder `spool`, rows are kept in an unnamed file there, not in memory: an hour has 1.5 GB. With `columns`,
-    ticks and truth have only these, and `payload` is empty.
+        Only the chunks that hold it are read. Log and parameters stay those of the whole session. Raises ValueError for
+        a step, and for an end before its start.
+        """
+        if part.step is not None:
+            raise ValueError(f"a step of {part.step}: must be a part in seconds, as session[10.0:11.0]")
+        begin_s = 0.0 if part.start is None else part.start
+        end_s = math.inf if part.stop is None else part.stop
+        if not 0.0 <= begin_s <= end_s:
+            raise ValueError(f"{begin_s}:{end_s} s: must not be negative, and end after its start")
+        first, _ = self.rows.edges()
+        zero_ns = int(first["time_ns"][0]) if len(first) else 0
+        first_ns, end_ns = zero_ns + round(begin_s * 1e9), zero_ns + round(min(end_s, _LONGEST_S) * 1e9)
+        ticks, truth = (
+            rows.view(f"V{rows.itemsize}")[(rows["time_ns"] >= first_ns) & (rows["time_ns"] < end_ns)].view(rows.dtype)
+            for rows in whole(self.rows.between(first_ns, end_ns))
+        )  # whole messages, with what lies between their columns
+        return replace(self, rows=RowsInMemory(ticks, truth), window_s=(begin_s, end_s))
+
+    def first(self, ticks: int) -> Self:
+        """The session up to its first `ticks` ticks; the truth stays whole."""
+        return replace(self, rows=FirstTicks(self.rows, ticks))
+
+    def with_rows(self, ticks: npt.NDArray[np.void] | None = None, truth: npt.NDArray[np.void] | None = None) -> Self:
+        """The session with other rows, in memory."""
+        rows = RowsInMemory(self.ticks if ticks is None else ticks, self.truth if truth is None else truth)
+        return replace(self, rows=rows)
+
+
+class _Unread(Sequence[Item]):
+    """Items of a file that are read when one of them is asked for; their number is known."""
+
+    def __init__(self, number: int, read: Callable[[], list[Item]]) -> None:
+        self._number = number
+        self._read = read
+
+    def __len__(self) -> int:
+        return self._number
+
+    @overload
+    def __getitem__(self, at: int) -> Item: ...
+    @overload
+    def __getitem__(self, at: slice) -> Sequence[Item]: ...
+    def __getitem__(self, at: int | slice) -> Item | Sequence[Item]:
+        return self._items[at]
+
+    @cached_property
+    def _items(self) -> list[Item]:
+        return self._read()
+
+
+def read_session(path: Path) -> Session:
+    """The session at `path`, all of it checked. A cut file is read up to its last intact record; see `incomplete`.
+
     Raises SessionError if the file cannot be opened, is not a session, or is damaged.
     """
-    with opened(path) as (file, size), ExitStack() as files:
+    with opened(path) as (file, size):
+        content, gathered = Content(budget=DecompressionBudget(size)), GatheredRows()
         try:
-            rows: dict[str, Rows] = {}
-            for topic, message in FLAT.items():
-                if columns is not None:
-                    rows[topic] = ColumnsInMemory(message.dtype, columns)
-                else:
-                    rows[topic] = RowsInMemory() if spool is None else files.enter_context(RowsOnDisk(spool))
-            content, incomplete = _read(file, size, Content(rows, DecompressionBudget(size)))
-            return _session(path, content, incomplete)
+            for entry, batches in _chunks(file, size, content):
+                gathered.add(entry, batches)
+            _require_ours(path, content)
+            _check(content)
+            rows = gathered.rows(path, file, content)
+            return _session(path, content, rows, tuple(content.events), tuple(content.parameters))
         except UnsupportedError as error:
             raise SessionError(f"{path}: cannot be read: {error}") from error
         except DamagedError as error:
-            raise _damaged(path, error) from error
+            raise damaged(path, error) from error
+
+
+def open_session(path: Path) -> Session:
+    """The session at `path` by its index: ticks, log and parameters are read, and checked, as they are used.
+
+    What is not used is not checked: `read_session` and `validate` check all. A file without an intact index is read as
+    by `read_session`. Raises SessionError.
+    """
+    with opened(path) as (file, size):
+        try:
+            return _indexed(path, file, size)
+        except UnsupportedError as error:
+            raise SessionError(f"{path}: cannot be read: {error}") from error
+        except DamagedError:
+            pass
+    return read_session(path)
 
 
 def stored_rows(file: BinaryIO, size: int, path: Path) -> Iterator[tuple[bytes, bytes]]:
@@ -119,20 +257,13 @@ def stored_rows(file: BinaryIO, size: int, path: Path) -> Iterator[tuple[bytes, 
 
     A cut file is read as far as it goes. Raises SessionError if the file at `path` is damaged.
     """
-    content = Content(budget=DecompressionBudget(size))
     try:
-        for entry in RecordFile(file, size):
-            if entry.opcode == Opcode.DATA_END:
-                return
-            if entry.opcode != Opcode.CHUNK:
-                content.take(entry)
-                continue
-            batches = content.take_chunk(unpack_chunk(entry.data, content.budget))
+        for _, batches in _chunks(file, size, Content(budget=DecompressionBudget(size))):
             ticks, states = (batches[topic].upgraded if topic in batches else b"" for topic in FLAT)
             if ticks or states:
                 yield ticks, states
     except DamagedError as error:
-        raise _damaged(path, error) from error
+        raise damaged(path, error) from error
 
 
 def session_config(session: Session, checks: tuple[Check, ...]) -> RigConfig:
@@ -154,24 +285,56 @@ def read_metadata(path: Path) -> Metadata:
     """
     content = Content()
     with opened(path) as (file, size):
-        places = sorted(
-            tuple(fields(entry.opcode, entry.data)[:2])
-            for entry in _summary(file, size)
-            if entry.opcode == Opcode.METADATA_INDEX
-        )
-        for at, length in places:
-            if length > _LARGEST_METADATA or at + length > size:
-                raise DamagedError("the index points outside of the file")
-            file.seek(at)
-            record = file.read(length)
-            if len(record) < HEAD.size or HEAD.unpack_from(record) != (Opcode.METADATA, length - HEAD.size):
-                raise DamagedError("the index points to metadata that is not there")
-            content.take(Entry(Opcode.METADATA, at + HEAD.size, memoryview(record)[HEAD.size :]))
+        _take_listed(file, size, content, chunk_parts(_summary(file, size)), (Opcode.METADATA_INDEX,))
     return migrated(content.metadata)
 
 
-def _summary(file: BinaryIO, size: int) -> Iterator[Entry]:
-    """Records between the data and the footer."""
+def _take_listed(
+    file: BinaryIO, size: int, content: Content, summary: Iterable[object], lists: Collection[Opcode]
+) -> None:
+    """Read the records that indexes of the kinds `lists` point to, in the order of the file. Raises DamagedError."""
+    entries = [entry for entry in summary if isinstance(entry, Entry) and entry.opcode in lists]
+    places = sorted((*fields(entry.opcode, entry.data)[:2], _LISTED[Opcode(entry.opcode)]) for entry in entries)
+    for at, length, opcode in places:
+        if length > LARGEST_RECORD or at + length > size:
+            raise DamagedError("the index points outside of the file")
+        file.seek(at)
+        record = file.read(length)
+        if len(record) < HEAD.size or HEAD.unpack_from(record) != (opcode, length - HEAD.size):
+            raise DamagedError(f"the index points to {kind(opcode)} that is not there")
+        content.take(Entry(opcode, at + HEAD.size, memoryview(record)[HEAD.size :]))
+
+
+def _indexed(path: Path, file: BinaryIO, size: int) -> Session:
+    """The session by its index. Raises DamagedError if that cannot be used."""
+    content = Content(budget=DecompressionBudget(size))
+    for header in islice(RecordFile(file, size), 1):
+        content.take(header)
+    others, listed = chunk_index(_summary(file, size))
+    numbers = dict.fromkeys((*FLAT, LOG_TOPIC, PARAMETERS_TOPIC, IO_TOPIC), 0)
+    for entry in others:
+        if entry.opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
+            content.take(entry)
+        elif entry.opcode == Opcode.STATISTICS:
+            for channel, number in BY_CHANNEL.iter_unpack(fields(entry.opcode, entry.data)[-1]):
+                numbers[content.channels[channel][0]] = number
+    _take_listed(file, size, content, others, _LISTED)
+    content.check_schemas()
+    content.frames = numbers[IO_TOPIC]
+    chunks = Chunks(path, file, content, places(listed, content))
+    for raw in islice(chunks.unpacked({TICK.topic}), 1):
+        content.take_chunk(raw)  # it dates the session
+    rows = StoredRows(chunks, {topic: numbers[topic] for topic in FLAT})
+    log = _Unread(numbers[LOG_TOPIC], lambda: chunks.messages(LOG_TOPIC, event))
+    in_force = _Unread(
+        numbers[PARAMETERS_TOPIC], lambda: chunks.messages(PARAMETERS_TOPIC, lambda _, data: parameters(data))
+    )
+    _require_ours(path, content)
+    return _session(path, content, rows, log, in_force)
+
+
+def _summary(file: BinaryIO, size: int) -> bytes:
+    """The records between the data and the footer. Raises DamagedError."""
     if size < _TAIL:
         raise DamagedError("there is no index")
     file.seek(-_TAIL, os.SEEK_END)
@@ -186,11 +349,7 @@ def _summary(file: BinaryIO, size: int) -> Iterator[Entry]:
     summary = file.read(end - start)
     if crc != zlib.crc32(tail[: HEAD.size + _FOOTER.size - 4], zlib.crc32(summary)):
         raise DamagedError("the index fails its checksum")
-    return (part for part in chunk_parts(summary) if isinstance(part, Entry))
-
-
-def _damaged(path: Path, error: DamagedError) -> SessionError:
-    return SessionError(f"{path}: is damaged: {error}; inteco-abs recover saves the intact ticks")
+    return summary
 
 
 @contextmanager
@@ -246,8 +405,8 @@ def regular_file(path: Path) -> Iterator[tuple[BinaryIO, int]]:
         raise SessionError(f"{path}: cannot be read: {error.strerror}{hint}") from error
 
 
-def _read(file: BinaryIO, size: int, content: Content) -> tuple[Content, str]:
-    """Read all records into `content`; return it, and where the file ends if it was cut."""
+def _chunks(file: BinaryIO, size: int, content: Content) -> Iterator[tuple[Entry, dict[str, Batch]]]:
+    """Read all records into `content`; each chunk with its rows."""
     records = RecordFile(file, size)
     ended = False
     for entry in records:
@@ -256,20 +415,21 @@ def _read(file: BinaryIO, size: int, content: Content) -> tuple[Content, str]:
                 check_data(entry, records.crc)
                 ended = True
                 break
-            if entry.opcode == Opcode.CHUNK:
-                content.take_chunk(unpack_chunk(entry.data, content.budget))
-            else:
+            if entry.opcode != Opcode.CHUNK:
                 content.take(entry)
+                continue
+            batches = content.take_chunk(unpack_chunk(entry.data, content.budget))
         except UnsupportedError:
             raise
         except DamagedError as error:
             raise DamagedError(f"{kind(entry.opcode)} at byte {entry.start}: {error}") from error
+        yield entry, batches
     content.check_schemas()
     if ends_well(file) and size > len(MAGIC):
         if not ended:
             raise DamagedError("the head of a record is wrong: the file is not cut, but its data has no end")
-        return content, ""
-    return content, f"the file ends early, after {size} bytes, without its index"
+    else:
+        content.incomplete = f"the file ends early, after {size} bytes, without its index"
 
 
 def check_data(end: Entry, found: int) -> None:
@@ -285,43 +445,38 @@ def ends_well(file: BinaryIO) -> bool:
     return file.read() == MAGIC
 
 
-def _check_times(times_ns: npt.NDArray[np.uint64]) -> None:
-    """Raise DamagedError at a time above 292 years, whose differences do not fit into 64 bits."""
-    latest_ns = int(times_ns.max(initial=0))
-    if latest_ns > _LATEST_NS:
-        raise DamagedError(f"a tick's time is {latest_ns} ns: must be at most {_LATEST_NS} ns")
-
-
-def _array(message: Message, rows: Rows) -> npt.NDArray[np.void]:
-    return rows.array() if isinstance(rows, ColumnsInMemory) else message.array(rows.contents())
-
-
-def _session(path: Path, content: Content, incomplete: str) -> Session:
-    recorded = content.metadata.get("integrity", {}).get("payload_sha256")
+def _require_ours(path: Path, content: Content) -> None:
+    """Raise SessionError unless this program, or one that keeps its channels, wrote the file."""
     ours = content.announces_ticks or content.library.startswith(LIBRARY)
-    if not ours or (recorded is None and not incomplete):
+    if not ours or (_recorded_hash(content) is None and not content.incomplete):
         raise SessionError(f"{path}: is an MCAP file, but not a session of this program")
-    if recorded is not None and recorded != content.hash.hexdigest():
+
+
+def _recorded_hash(content: Content) -> str | None:
+    return content.metadata.get("integrity", {}).get("payload_sha256")
+
+
+def _check(content: Content) -> None:
+    """Raise DamagedError unless ticks and attachments match their hashes."""
+    if _recorded_hash(content) not in {None, content.hash.hexdigest()}:
         raise DamagedError("the ticks do not match the hash that was recorded with them")
     for name in content.altered_attachments():
         raise DamagedError(f"attachment {name!r} does not match the hash that was recorded with it")
-    stored = content.rows[TICK.topic]
-    payload = b"" if isinstance(stored, ColumnsInMemory) else stored.contents()
-    ticks, truth = (_array(message, content.rows[topic]) for topic, message in FLAT.items())
-    for rows in (ticks, truth):
-        _check_times(rows["time_ns"])
+
+
+def _session(
+    path: Path, content: Content, rows: Rows, log: Sequence[LogEntry], in_force: Sequence[Parameters]
+) -> Session:
     return Session(
         path,
-        ticks,
-        payload,
-        truth,
+        rows,
         migrated(content.metadata),
         {name: attached.data for name, attached in content.attachments.items()},
         content.channel_facts,
-        tuple(content.events),
-        tuple(content.parameters),
+        log,
+        in_force,
         content.epoch_ns or 0,
-        incomplete,
+        content.incomplete,
         content.unsupported,
         content.frames,
     )

@@ -6,6 +6,7 @@ import json
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -15,7 +16,7 @@ import numpy.typing as npt
 from inteco_abs.config import RigConfig, parse_config
 from inteco_abs.errors import ConfigError, SessionError
 from inteco_abs.format import IO_TOPIC, LOG_TOPIC, TICK, TRUTH, Message
-from inteco_abs.sessions.card import in_step, link_errors, result_card
+from inteco_abs.sessions.card import RunningCard
 from inteco_abs.sessions.container import (
     DamagedError,
     DecompressionBudget,
@@ -31,8 +32,9 @@ from inteco_abs.sessions.file_writer import FileWriter, utc
 from inteco_abs.sessions.files import atomic_write, check_output
 from inteco_abs.sessions.migration import MessageLayout, migrated
 from inteco_abs.sessions.reader import check_data, regular_file
+from inteco_abs.sessions.rows import in_step
 from inteco_abs.sessions.scanner import IntactRecord, Scan
-from inteco_abs.sessions.storage import Rows, RowsOnDisk
+from inteco_abs.sessions.storage import RowsOnDisk
 
 _LATEST_NS: Final = 1 << 63
 _BLOCK_TICKS: Final = 4096
@@ -71,14 +73,18 @@ def recover_session(source: Path, out: Path) -> Recovery:
 class _IntactRows:
     """Intact ticks or truths."""
 
-    def __init__(self, message: Message, rows: Rows) -> None:
+    def __init__(self, message: Message, rows: RowsOnDisk) -> None:
         self._message = message
         self._rows = rows
-        self._number = self._time_ns = -1
+        self._number = self._time_ns = self._kept = -1
+        self.count = self.first_ns = self.last_ns = 0
+        """Number of rows kept, and times of the first and the last."""
+        self.gaps: list[tuple[int, int]] = []
+        """First and last number of rows missing among the kept ones."""
 
-    def array(self) -> Array:
-        """All kept rows, on the disk."""
-        return self._message.array(self._rows.contents())
+    def blocks(self) -> Iterator[Array]:
+        """All kept rows, from the disk."""
+        return map(self._message.array, self._rows.blocks(_BLOCK_TICKS * self._message.size))
 
     def check(self, batch: Batch, epoch_ns: int | None) -> int:
         """Return the epoch of the next messages. Raises DamagedError if they do not follow the previous ones."""
@@ -88,16 +94,25 @@ class _IntactRows:
         epochs = log_time.astype(np.int64) - times.astype(np.int64)
         if (epochs != (epochs[0] if epoch_ns is None else epoch_ns)).any():
             raise DamagedError("its two clocks do not match")
-        numbers = batch.values["tick"] if self._message is TICK else batch.sequence
-        forward = np.diff(numbers.astype(np.int64), prepend=self._number) > 0
+        numbers = self._numbers(batch)
+        forward = np.diff(numbers, prepend=self._number) > 0
         if not forward.all() or (np.diff(times.astype(np.int64), prepend=self._time_ns) < 0).any():
             raise DamagedError("it repeats earlier rows")
         self._number, self._time_ns = int(numbers[-1]), int(times[-1])
         return int(epochs[0])
 
-    def keep(self, data: bytes) -> None:
+    def keep(self, batch: Batch) -> None:
         """Keep rows that were checked."""
-        self._rows.write(data)
+        numbers, times_ns = self._numbers(batch), batch.values["time_ns"]
+        steps = np.diff(numbers, prepend=self._kept)
+        self.gaps += [(int(numbers[at] - steps[at]) + 1, int(numbers[at]) - 1) for at in np.flatnonzero(steps > 1)]
+        self.first_ns = self.first_ns if self.count else int(times_ns[0])
+        self._kept, self.last_ns = int(numbers[-1]), int(times_ns[-1])
+        self.count += len(numbers)
+        self._rows.write(batch.upgraded)
+
+    def _numbers(self, batch: Batch) -> npt.NDArray[np.int64]:
+        return (batch.values["tick"] if self._message is TICK else batch.sequence).astype(np.int64)
 
     @property
     def newest(self) -> tuple[int, int]:
@@ -114,7 +129,7 @@ class _IntactFrames:
 
     _HEAD: Final = struct.Struct("<QI")
 
-    def __init__(self, rows: Rows) -> None:
+    def __init__(self, rows: RowsOnDisk) -> None:
         self._rows = rows
         self._sequence = -1
         self.number = 0
@@ -204,7 +219,7 @@ class _Intact:
             raise
         self.epoch_ns = epoch_ns
         for topic, batch in batches.items():
-            self.rows[topic].keep(batch.upgraded)
+            self.rows[topic].keep(batch)
             if topic == TICK.topic:
                 self.content.hash.update(batch.data)
         self.content.take_log(runs.get(LOG_TOPIC, ()))
@@ -225,14 +240,14 @@ class _RecoveredSession:
         self._source, self._out = source, out
         self._facts = migrated(intact.content.metadata)
         self._content = intact.content
-        self._ticks, self._truths = intact.rows[TICK.topic].array(), intact.rows[TRUTH.topic].array()
+        self._ticks, self._truths = intact.rows[TICK.topic], intact.rows[TRUTH.topic]
         self._frames = intact.frames
         self._epoch_ns = intact.epoch_ns or 0
         self._losses = intact.losses
         for name in self._content.altered_attachments():
             del self._content.attachments[name]
             self._losses.append(f"attachment {name!r} does not match the hash that was recorded with it")
-        if not len(self._ticks):
+        if not self._ticks.count:
             because = f": {self._losses[0]}" if self._losses else ""
             raise SessionError(f"{source}: has no intact tick, so there is nothing to recover{because}")
         if intact.content.unsupported:
@@ -243,7 +258,7 @@ class _RecoveredSession:
     def write(self) -> Recovery:
         """Write the file atomically."""
         session = self._facts.get("session", {})
-        start_ns = int(self._ticks["time_ns"][0])
+        start_ns = self._ticks.first_ns
         internals = self._internals()
         with (
             atomic_write(self._out) as part,
@@ -252,22 +267,20 @@ class _RecoveredSession:
             ) as recorder,
         ):
             self._write_header(recorder)
-            self._copy(recorder)
+            running = self._copy(recorder)
             self._copy_frames(recorder)
             self._check_hash()
-            card = self._card(recorder.payload_sha256)
+            card = self._card(running, recorder.payload_sha256)
             recorder.describe("recovery", self._recovery())
-            ended = session.get("ended_utc") or utc(self._epoch_ns + int(self._ticks["time_ns"][-1]))
+            ended = session.get("ended_utc") or utc(self._epoch_ns + self._ticks.last_ns)
             recorder.finish(RECOVERED, card["explanation"], card, ended)
         return Recovery(card, self._missing, tuple(self._losses))
 
     def _gaps(self) -> tuple[tuple[int, int], ...]:
-        numbers = self._ticks["tick"].astype(np.int64)
-        steps = np.diff(numbers, prepend=-1)
-        gaps = [(int(numbers[at] - steps[at]) + 1, int(numbers[at]) - 1) for at in np.flatnonzero(steps > 1)]
+        gaps, (last, _) = [*self._ticks.gaps], self._ticks.newest
         recorded = self._facts.get("session", {}).get("ticks", "")
-        if recorded.isdecimal() and len(recorded) < 10 and int(recorded) > numbers[-1] + 1:
-            gaps.append((int(numbers[-1]) + 1, int(recorded) - 1))
+        if recorded.isdecimal() and len(recorded) < 10 and int(recorded) > last + 1:
+            gaps.append((last + 1, int(recorded) - 1))
         if gaps:
             listed = ", ".join(f"{first}..{last}" for first, last in gaps[:_MOST_LISTED])
             more = ", ..." if len(gaps) > _MOST_LISTED else ""
@@ -312,16 +325,22 @@ class _RecoveredSession:
                     continue
         return found
 
-    def _copy(self, recorder: FileWriter) -> None:
-        """Copy ticks in blocks, each after the log entries of its time and before its truths."""
-        log = sorted(self._content.events, reverse=True)
-        for block, states in in_step(self._ticks, self._truths, _BLOCK_TICKS):
-            last = block["tick"][-1] == self._ticks["tick"][-1]
+    def _copy(self, recorder: FileWriter) -> RunningCard:
+        """Copy ticks in blocks, each after the log entries of its time and before its truths; return their card."""
+        log, card = sorted(self._content.events, reverse=True), RunningCard(self._config())
+        (end, _), none = self._ticks.newest, (TICK.array(b""), TRUTH.array(b""))
+        parts = zip_longest(self._ticks.blocks(), self._truths.blocks())
+        known = (
+            (none[0] if ticks is None else ticks, none[1] if truths is None else truths) for ticks, truths in parts
+        )
+        for block, states in in_step(known, _BLOCK_TICKS, self._truths.count):
             until_ns = self._epoch_ns + int(block["time_ns"][-1])
-            while log and (last or log[-1].unix_ns <= until_ns):
+            while log and (block["tick"][-1] == end or log[-1].unix_ns <= until_ns):
                 recorder.event(*log.pop())
             recorder.ticks(block.tobytes())
             recorder.truths(states.tobytes())
+            card.add(block, states)
+        return card
 
     def _copy_frames(self, recorder: FileWriter) -> None:
         """Copy the raw frames, if there are any, with the number of missing ones."""
@@ -350,7 +369,7 @@ class _RecoveredSession:
             "lost": "; ".join(([earlier] if earlier else []) + self._losses[:_MOST_LISTED]),
         }
 
-    def _card(self, payload_sha256: str) -> dict[str, Any]:
+    def _card(self, running: RunningCard, payload_sha256: str) -> dict[str, Any]:
         """The result card; without an intact configuration it has no metrics but the timing."""
         rig = self._facts.get("rig", {})
         losses = "; ".join(self._losses[:_MOST_LISTED])
@@ -362,9 +381,9 @@ class _RecoveredSession:
             "explanation": f"recovered from {self._source.name}{f': {losses}' if losses else ''}",
             "board": rig.get("board"),
             "rig": rig.get("drawn"),
-            **result_card(self._config(), self._ticks, self._truths),
+            **running.card(),
             "lost_ticks": sum(last - first + 1 for first, last in self._missing),
-            "link_errors": link_errors(self._ticks),
+            "link_errors": running.link_errors,
             "payload_sha256": payload_sha256,
         }
 

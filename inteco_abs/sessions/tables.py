@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from inteco_abs.errors import AbsError, ConfigError, near_match
-from inteco_abs.format import TICK, TRUTH, Column, Message
+from inteco_abs.format import TICK, TRUTH, Column
 from inteco_abs.sessions.reader import Session
+from inteco_abs.sessions.rows import joined_rows
 
+BLOCK_ROWS: Final = 1 << 14
+"""Rows of a table that an export handles at once."""
 _EVENT_COLUMNS: Final = {
     "time_ns": ("ns", "monotonic clock, as in the tick"),
     "unix_ns": ("ns", "wall clock, since 1970"),
@@ -33,21 +37,50 @@ class Table(NamedTuple):
 
     name: str
     """`tick`, `truth` or `events`; `columns` of these."""
-    rows: npt.NDArray[np.void]
+    dtype: np.dtype[np.void]
+    number: int
+    """Number of rows."""
+    blocks: Callable[[], Iterator[npt.NDArray[np.void]]]
+    """All rows in blocks; may raise SessionError."""
     units: dict[str, str]
     """Units by column, as in UCUM; `1` has no dimension, `text` is not a unit."""
     meanings: dict[str, str]
 
-    def column(self, name: str, first: int = 0, end: int | None = None) -> npt.NDArray[Any]:
-        """Values of one column as a contiguous array."""
-        values: npt.NDArray[Any] = np.ascontiguousarray(self.rows[name][first:end])
+    @classmethod
+    def of(cls, name: str, rows: npt.NDArray[np.void], units: dict[str, str], meanings: dict[str, str]) -> Self:
+        """A table of rows in memory."""
+        return cls(name, rows.dtype, len(rows), lambda: iter([rows]), units, meanings)
+
+    @property
+    def rows(self) -> npt.NDArray[np.void]:
+        """All rows."""
+        blocks = list(self.blocks())
+        return blocks[0] if len(blocks) == 1 else joined_rows(np.empty(0, self.dtype), *blocks)
+
+    def column(self, name: str) -> npt.NDArray[Any]:
+        """All values of one column as a contiguous array."""
+        values: npt.NDArray[Any] = np.ascontiguousarray(self.rows[name])
         return values
 
 
 def tables(session: Session) -> list[Table]:
     """Table `tick`, then `truth` and `events` unless they are empty."""
-    found = [_of_message("tick", TICK, session.ticks), _of_message("truth", TRUTH, session.truth), _events(session)]
-    return [table for table in found if table.name == "tick" or len(table.rows)]
+    found = [
+        Table(
+            name,
+            message.dtype,
+            session.rows.numbers[message.topic],
+            partial(_blocks, session, at),
+            {column.name: column.unit for column in message.columns},
+            {column.name: _meaning(column) for column in message.columns},
+        )
+        for at, (name, message) in enumerate({"tick": TICK, "truth": TRUTH}.items())
+    ]
+    return [table for table in (*found, _events(session)) if table.name == "tick" or table.number]
+
+
+def _blocks(session: Session, at: int) -> Iterator[npt.NDArray[np.void]]:
+    return (block[at] for block in session.blocks(BLOCK_ROWS))
 
 
 def columns_of(found: Sequence[Table]) -> Table:
@@ -56,7 +89,7 @@ def columns_of(found: Sequence[Table]) -> Table:
     widths = [max(map(len, texts)) for texts in zip(*lines, strict=True)]
     names = tuple(_COLUMN_COLUMNS)
     rows = np.array(lines, [(name, f"<U{width}") for name, width in zip(names, widths, strict=True)])
-    return Table("columns", rows, dict.fromkeys(names, "text"), dict(_COLUMN_COLUMNS))
+    return Table.of("columns", rows, dict.fromkeys(names, "text"), dict(_COLUMN_COLUMNS))
 
 
 def to_pandas(session: Session, table: str = "tick") -> Any:
@@ -94,11 +127,6 @@ def _named(session: Session, name: str) -> Table:
     return found[name]
 
 
-def _of_message(name: str, message: Message, rows: npt.NDArray[np.void]) -> Table:
-    units = {column.name: column.unit for column in message.columns}
-    return Table(name, rows, units, {column.name: _meaning(column) for column in message.columns})
-
-
 def _meaning(column: Column) -> str:
     members = column.kind.members
     if members is None:
@@ -115,4 +143,4 @@ def _events(session: Session) -> Table:
         rows[at] = 0, event.unix_ns, event.level, event.text
     rows["time_ns"] = (rows["unix_ns"] - np.uint64(session.epoch_ns % (1 << 64))).view(np.int64)
     units = {name: unit for name, (unit, _) in _EVENT_COLUMNS.items()}
-    return Table("events", rows, units, {name: meaning for name, (_, meaning) in _EVENT_COLUMNS.items()})
+    return Table.of("events", rows, units, {name: meaning for name, (_, meaning) in _EVENT_COLUMNS.items()})

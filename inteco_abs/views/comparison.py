@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import pairwise
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from inteco_abs.analysis import recorded_gains, settings_of
 from inteco_abs.errors import ConfigError, ConfigIssue
-from inteco_abs.sessions import Session
+from inteco_abs.sessions import PhaseSpan, Session
 from inteco_abs.signals import Phase
 
 PALETTE: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
@@ -22,14 +21,6 @@ _MOST_SETTINGS: Final = 3
 _COMPARED_BEFORE: Final = ("controller.", "estimator.", "profile")
 
 Array = npt.NDArray[Any]
-
-
-class PhaseSpan(NamedTuple):
-    """Rows `first` to before `end`, all in one phase."""
-
-    phase: Phase
-    first: int
-    end: int
 
 
 def require_distinct(sessions: Sequence[Session]) -> None:
@@ -47,8 +38,8 @@ def require_distinct(sessions: Sequence[Session]) -> None:
 
 def start_ns(session: Session) -> int:
     """Start of braking, or of a session that never brakes, ns by the ticks' clock. The session has ticks."""
-    rows = np.flatnonzero(session.ticks["phase"] == Phase.BRAKING)
-    return int(session.ticks["time_ns"][rows[0] if len(rows) else 0])
+    spans = session.rows.phases
+    return next((span for span in spans if span.phase is Phase.BRAKING), spans[0]).first_ns
 
 
 def since_s(rows: Array, start: int) -> Array:
@@ -57,16 +48,9 @@ def since_s(rows: Array, start: int) -> Array:
     return seconds
 
 
-def phase_spans(ticks: Array) -> list[PhaseSpan]:
-    """Phases in order."""
-    phases = ticks["phase"]
-    edges = [0, *(np.flatnonzero(np.diff(phases)) + 1).tolist(), len(phases)]
-    return [PhaseSpan(Phase(phases[first]), first, end) for first, end in pairwise(edges) if end]
-
-
-def held_rows(ticks: Array) -> Array:
-    """Rows in the phases braking and stopped, while the brake is held."""
-    return np.flatnonzero((ticks["phase"] == Phase.BRAKING) | (ticks["phase"] == Phase.STOPPED))
+def held_spans(session: Session) -> list[PhaseSpan]:
+    """The phases braking and stopped, while the brake is held."""
+    return [span for span in session.rows.phases if span.phase in {Phase.BRAKING, Phase.STOPPED}]
 
 
 def labels(sessions: Sequence[Session]) -> list[str]:

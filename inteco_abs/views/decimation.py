@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
@@ -33,26 +33,58 @@ def decimate(columns: Mapping[str, Array], time_s: Array, matters: Array, most: 
     Each bin of neighbouring rows becomes two points: smallest and largest value in their order, at the times of its
     first and last row. NaN is left out where the bin has a number.
     """
-    inside = _bin(int(matters.sum()), 3 * most // 4)
-    spent = int(matters.sum()) * (_POINTS_A_BIN if inside > 1 else 1) // inside
-    outside = _bin(int((~matters).sum()), most - spent)
-    times: list[Array] = []
-    values: dict[str, list[Array]] = {name: [] for name in columns}
-    for first, end in _runs(matters):
-        size = inside if matters[first] else outside
-        times.append(_times(time_s[first:end], size))
-        for name, column in columns.items():
-            values[name].append(_extremes(column[first:end], size))
-    empty = np.zeros(0)
-    return Decimated(
-        np.concatenate([empty, *times]),
-        {
-            name: np.clip(np.concatenate([empty, *parts]), -_LARGEST, _LARGEST).astype(np.float32)
-            for name, parts in values.items()
-        },
-        inside,
-        outside,
-    )
+    thinned = Decimator(columns, int(matters.sum()), int((~matters).sum()), most)
+    thinned.add(columns, time_s, matters)
+    return thinned.decimated()
+
+
+class Decimator:
+    """Decimates the columns `names` as `decimate`, of rows that come in blocks: `matter` of them and `others`."""
+
+    def __init__(self, names: Iterable[str], matter: int, others: int, most: int) -> None:
+        self._inside = _bin(matter, 3 * most // 4)
+        spent = matter * (_POINTS_A_BIN if self._inside > 1 else 1) // self._inside
+        self._outside = _bin(others, most - spent)
+        self._times: list[Array] = []
+        self._values: dict[str, list[Array]] = {name: [] for name in names}
+        self._waiting: tuple[Mapping[str, Array], Array, Array] | None = None
+        """Last rows of a run that do not fill a bin yet."""
+
+    def add(self, columns: Mapping[str, Array], time_s: Array, matters: Array) -> None:
+        """Add the next rows."""
+        if self._waiting is not None:
+            before, times, mattered = self._waiting
+            columns = {name: np.concatenate([before[name], columns[name]]) for name in self._values}
+            time_s, matters = np.concatenate([times, time_s]), np.concatenate([mattered, matters])
+        done = 0
+        for first, end in _runs(matters):
+            size = self._inside if matters[first] else self._outside
+            rest = (end - first) % size if end == len(matters) else 0  # the last run may go on
+            done = end - rest
+            self._put(columns, time_s, slice(first, done), size)
+        self._waiting = {name: columns[name][done:] for name in self._values}, time_s[done:], matters[done:]
+
+    def _put(self, columns: Mapping[str, Array], time_s: Array, rows: slice, size: int) -> None:
+        if rows.start < rows.stop:
+            self._times.append(_times(time_s[rows], size))
+            for name, values in self._values.items():
+                values.append(_extremes(columns[name][rows], size))
+
+    def decimated(self) -> Decimated:
+        """All points; nothing more is added."""
+        if self._waiting is not None and len(self._waiting[1]):
+            columns, time_s, matters = self._waiting
+            self._put(columns, time_s, slice(0, len(time_s)), self._inside if matters[0] else self._outside)
+        empty = np.zeros(0)
+        return Decimated(
+            np.concatenate([empty, *self._times]),
+            {
+                name: np.clip(np.concatenate([empty, *parts]), -_LARGEST, _LARGEST).astype(np.float32)
+                for name, parts in self._values.items()
+            },
+            self._inside,
+            self._outside,
+        )
 
 
 def _bin(rows: int, points: int) -> int:

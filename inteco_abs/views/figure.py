@@ -15,9 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from inteco_abs.errors import AbsError, ConfigError, describe_disk
+from inteco_abs.format import TICK, TRUTH
 from inteco_abs.sessions import Session, atomic_write, check_output
-from inteco_abs.views.comparison import PALETTE, held_rows, labels, require_distinct, since_s, start_ns
-from inteco_abs.views.decimation import decimate
+from inteco_abs.views.comparison import PALETTE, held_spans, labels, require_distinct, since_s, start_ns
+from inteco_abs.views.decimation import Decimator
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,8 +41,6 @@ _DRAWN_POINTS: Final = 100_000
 _DRAWN: Final[Sequence[str]] = (
     "wheel_speed_rad_s", "road_speed_rad_s", "slip", "slip_reference", "torque_demand_nm", "brake", "brake_torque_nm",
 )  # fmt: skip
-COLUMNS: Final = ("time_ns", "phase", *_DRAWN)
-"""What `draw_stops` needs of a session's ticks and truth."""
 _AT_REST_RAD_S: Final = 1.0
 """Road speed below which slip is not drawn: both speeds are a few counts."""
 _ROLLING_RAD_S: Final = 10.0
@@ -168,7 +167,7 @@ def _drawn(sessions: Sequence[Session], width: FigureSize, most: int = _DRAWN_PO
         _name_sessions(figure, axes[0], parts, width)
     axes[0].set_ylabel("speed [rad/s]")
     axes[0].set_ylim(bottom=0.0)
-    axes[1].set_ylim(0.0, slip_top([rows for part in parts for rows in _slip_rows(part, parts)]))
+    axes[1].set_ylim(0.0, slip_top(highest_slip(rows) for part in parts for rows in _slip_rows(part, parts)))
     axes[2].set_ylim(-0.2, 10.0)
     axes[2].set_xlabel("time since braking began [s]")
     for panel in axes:
@@ -179,21 +178,24 @@ def _drawn(sessions: Sequence[Session], width: FigureSize, most: int = _DRAWN_PO
     return figure
 
 
-def slip_top(stops: Iterable[Array]) -> float:
-    """Upper end of the slip axis for ticks or truths of `stops`.
+def slip_top(highest: Iterable[float]) -> float:
+    """Upper end of the slip axis for stops with these highest slips.
 
-    1.02 if a wheel locked, else a fifth above the largest slip, so that a stop that holds its reference is not a thin
-    line. Slip counts above 10 rad/s of road speed: near standstill it is noise.
+    1.02 if a wheel locked, else a fifth above the largest, so that a stop that holds its reference is not a thin line.
     """
-    highest = 0.0
-    for rows in stops:
-        rolling = rows[rows["road_speed_rad_s"] > _ROLLING_RAD_S]
-        for name in ("slip", "slip_reference"):
-            if name in (rows.dtype.names or ()):
-                highest = float(np.fmax.reduce(rolling[name], initial=highest))
-    if not 0.0 < highest <= _LOCKED:
+    most = max(highest, default=0.0)
+    if not 0.0 < most <= _LOCKED:
         return _WHOLE_SLIP
-    return min(_SLIP_STEP * math.ceil(_SLIP_AIR * highest / _SLIP_STEP), _WHOLE_SLIP)
+    return min(_SLIP_STEP * math.ceil(_SLIP_AIR * most / _SLIP_STEP), _WHOLE_SLIP)
+
+
+def highest_slip(rows: Array) -> float:
+    """Largest slip and reference of ticks or truths above 10 rad/s of road speed; near standstill slip is noise."""
+    rolling, highest = rows[rows["road_speed_rad_s"] > _ROLLING_RAD_S], 0.0
+    for name in ("slip", "slip_reference"):
+        if name in (rows.dtype.names or ()):
+            highest = float(np.fmax.reduce(rolling[name], initial=highest))
+    return highest
 
 
 def _slip_rows(part: _DrawnSession, parts: Sequence[_DrawnSession]) -> Iterator[Array]:
@@ -204,8 +206,7 @@ def _slip_rows(part: _DrawnSession, parts: Sequence[_DrawnSession]) -> Iterator[
     elif _true(parts):
         drawn = [part.truth, part.ticks[["time_ns", "road_speed_rad_s", "slip_reference"]]]
     for rows in drawn:
-        time_s = since_s(rows, part.start_ns)
-        yield rows[(time_s >= -_BEFORE_S) & (time_s <= part.end_s)]
+        yield rows[_shown(rows, part.start_ns, part.end_s)]
 
 
 def _true(parts: Sequence[_DrawnSession]) -> bool:
@@ -219,25 +220,40 @@ def _slip(rows: Array) -> Array:
 
 
 def _part(session: Session, label: str, most: int) -> _DrawnSession:
-    held = held_rows(session.ticks)
-    if not len(held):
+    held = held_spans(session)
+    if not held:
         raise AbsError(f"{session.path}: the run ended before braking; there is nothing to draw")
     start = start_ns(session)
-    end_s = float((int(session.ticks["time_ns"][held[-1]]) - start) * 1e-9)
-    part = _DrawnSession(session.ticks, session.truth, label, start, end_s)
-    return part._replace(ticks=_decimated(part.ticks, part, most), truth=_decimated(part.truth, part, most))
+    end_s = float((held[-1].last_ns - start) * 1e-9)
+    if max(session.tick_count, session.truth_count) <= most:
+        return _DrawnSession(session.ticks, session.truth, label, start, end_s)
+    numbers = [0, 0]
+    for block in session.blocks():
+        for at, rows in enumerate(block):
+            numbers[at] += int(_shown(rows, start, end_s).sum())
+    names = [[name for name in _DRAWN if name in (message.dtype.names or ())] for message in (TICK, TRUTH)]
+    thinned = [Decimator(of, 0, number, most) for of, number in zip(names, numbers, strict=True)]
+    for block in session.blocks():
+        for rows, of, decimator in zip(block, names, thinned, strict=True):
+            shown = rows[_shown(rows, start, end_s)]
+            decimator.add({name: shown[name] for name in of}, since_s(shown, start), np.zeros(len(shown), bool))
+    ticks, truth = (
+        _few(message.dtype, decimator, start) for message, decimator in zip((TICK, TRUTH), thinned, strict=True)
+    )
+    return _DrawnSession(ticks, truth, label, start, end_s)
 
 
-def _decimated(rows: Array, part: _DrawnSession, most: int) -> Array:
-    """The shown rows in about `most` points with all extremes; `rows` themselves if there are fewer."""
-    if len(rows) <= most:
-        return rows
-    time_s = since_s(rows, part.start_ns)
-    shown = (time_s >= -_BEFORE_S) & (time_s <= part.end_s)
-    columns = {name: rows[name][shown] for name in _DRAWN if name in (rows.dtype.names or ())}
-    thinned = decimate(columns, time_s[shown], np.zeros(int(shown.sum()), bool), most)
-    few = np.zeros(len(thinned.time_s), rows.dtype)
-    few["time_ns"] = np.rint(thinned.time_s * 1e9).astype(np.int64) + part.start_ns
+def _shown(rows: Array, start: int, end_s: float) -> Array:
+    time_s = since_s(rows, start)
+    shown: Array = (time_s >= -_BEFORE_S) & (time_s <= end_s)
+    return shown
+
+
+def _few(dtype: np.dtype[np.void], decimator: Decimator, start: int) -> Array:
+    """The points as rows."""
+    thinned = decimator.decimated()
+    few = np.zeros(len(thinned.time_s), dtype)
+    few["time_ns"] = np.rint(thinned.time_s * 1e9).astype(np.int64) + start
     for name, values in thinned.columns.items():
         few[name] = values
     return few

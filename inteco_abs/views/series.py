@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Final
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
@@ -13,13 +13,10 @@ from rich.table import Table
 from inteco_abs.analysis import UNITS, MetricStatistics
 from inteco_abs.errors import AbsError
 from inteco_abs.sessions import Session
-from inteco_abs.views.comparison import held_rows, since_s, start_ns
-from inteco_abs.views.decimation import decimate
-from inteco_abs.views.figure import check_figure, new_figure, save_figure, slip_top
+from inteco_abs.views.comparison import held_spans, since_s, start_ns
+from inteco_abs.views.decimation import Decimated, decimate
+from inteco_abs.views.figure import check_figure, highest_slip, new_figure, save_figure, slip_top
 from inteco_abs.views.result_panel import ROWS
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 _HEADINGS: Final = ("n", "mean", "std dev", "smallest", "largest", "per stop")
 _BEFORE_S: Final = 0.2
@@ -51,39 +48,43 @@ def _number(value: float | None) -> str:
     return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"
 
 
-def draw_series(sessions: Sequence[Session], path: Path) -> None:
+def draw_series(sessions: Iterable[Session], path: Path) -> None:
     """Draw wheel speed, estimated slip and brake duty of each stop, dark to light, to `path` (.png, .svg or .pdf).
 
-    Sessions that never braked are left out. Raises AbsError if none braked.
+    Sessions are read one after the other; those that never braked are left out. Raises AbsError if none braked.
     """
     check_figure(path)
     from matplotlib import colormaps  # noqa: PLC0415  heavy, and an extra
 
-    braked = [session for session in sessions if len(held_rows(session.ticks))]
-    if not braked:
+    curves = [found for session in sessions if (found := _curves(session)) is not None]
+    if not curves:
         raise AbsError("no stop of the series braked; there is nothing to draw")
     figure = new_figure(7.1, 6.5)
     panels = figure.subplots(len(_PANELS), sharex=True)
-    colours = colormaps["viridis"](np.linspace(0.0, 0.9, len(braked)))
-    for number, (session, colour) in enumerate(zip(braked, colours, strict=True), 1):
-        label = f"{number} of {len(braked)}" if number in {1, len(braked)} else None
-        _draw(panels, session, color=colour, lw=0.8, alpha=0.8, label=label)
+    colours = colormaps["viridis"](np.linspace(0.0, 0.9, len(curves)))
+    for number, ((drawn, _), colour) in enumerate(zip(curves, colours, strict=True), 1):
+        label = f"{number} of {len(curves)}" if number in {1, len(curves)} else None
+        for panel, (name, _) in zip(panels, _PANELS, strict=True):
+            panel.plot(drawn.time_s, drawn.columns[name], color=colour, lw=0.8, alpha=0.8, label=label)
     for panel, (_, label) in zip(panels, _PANELS, strict=True):
         panel.set_ylabel(label)
         panel.grid(alpha=0.3)
     panels[0].legend(loc="upper right", frameon=False, fontsize="small", title="stop")
-    panels[1].set_ylim(0.0, slip_top(session.ticks[held_rows(session.ticks)] for session in braked))
+    panels[1].set_ylim(0.0, slip_top(highest for _, highest in curves))
     panels[-1].set_xlabel("time since braking began [s]")
     save_figure(figure, path)
 
 
-def _draw(panels: Sequence[Axes], session: Session, **look: Any) -> None:
+def _curves(session: Session) -> tuple[Decimated, float] | None:
+    """Curves of one stop, and its largest slip; None without braking."""
     ticks = session.ticks
+    held = held_spans(session)
+    if not held:
+        return None
     time_s = since_s(ticks, start_ns(session))
-    shown = (time_s >= -_BEFORE_S) & (np.arange(len(ticks)) <= held_rows(ticks)[-1])
+    shown = (time_s >= -_BEFORE_S) & (np.arange(len(ticks)) < held[-1].end)
     moves = ticks["road_speed_rad_s"] >= _AT_REST_RAD_S
     values = {name: ticks[name][shown] for name, _ in _PANELS}
     values["slip"] = np.where(moves[shown], values["slip"], np.nan)
     drawn = decimate(values, time_s[shown], np.zeros(int(shown.sum()), bool), _POINTS)
-    for panel, (name, _) in zip(panels, _PANELS, strict=True):
-        panel.plot(drawn.time_s, drawn.columns[name], **look)
+    return drawn, max(highest_slip(ticks[span.first : span.end]) for span in held)

@@ -5,7 +5,6 @@ import signal
 import struct
 import zlib
 from collections.abc import Iterable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -356,6 +355,6 @@ def retouched():
         writable = np.frombuffer(payload, TICK.dtype)
         for name, value in values.items():
             writable[name][row] = value
-        return replace(session, payload=bytes(payload), ticks=TICK.array(bytes(payload)))
+        return session.with_rows(TICK.array(bytes(payload)))
 
     return change

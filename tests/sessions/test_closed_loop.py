@@ -65,7 +65,7 @@ def test_a_command_comes_through_one_tick_after_its_sample(quick):
 def as_if_real(session):
     """The session as a real rig would have left it: no truth."""
     rig = {**session.metadata["rig"], "simulated": "false"}
-    return replace(session, truth=session.truth[:0], metadata={**session.metadata, "rig": rig})
+    return replace(session.with_rows(truth=session.truth[:0]), metadata={**session.metadata, "rig": rig})
 
 
 def test_a_real_run_continues_from_its_estimates_on_the_published_rig(run):

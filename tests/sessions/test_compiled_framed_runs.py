@@ -2,7 +2,7 @@
 
 import pytest
 
-from inteco_abs.analysis.compiled_replay import replay_rows
+from inteco_abs.analysis.compiled_replay import CompiledReplay
 from inteco_abs.control import build_pipeline, control_check
 from inteco_abs.format import Role
 from inteco_abs.mock_board import parse_faults
@@ -34,9 +34,8 @@ def test_framed_runs_with_faults_of_link_and_rig_are_decided_the_same(run, contr
         rig = f'simulation.rig="{("hard", "rough", "slow")[number % 3]}:{number}"'
         faults = parse_faults([fault] if fault else [])
         session = run(*settings, rig, name=f"{number}.mcap", faults=faults).session
-        found = replay_rows(
-            build_pipeline(session_config(session, (control_check(),))), session.ticks, may_compile=True
-        )
+        pipeline = build_pipeline(session_config(session, (control_check(),)))
+        found = CompiledReplay(pipeline, may_compile=True).decide(session.ticks)
         assert found is not None, fault
         for column in TICK.columns:
             if column.role is not Role.TIMING:

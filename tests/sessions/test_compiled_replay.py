@@ -2,7 +2,7 @@
 
 import random
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from inteco_abs import warm_up
 from inteco_abs.analysis import alternative, compiled_replay, replay_session, what_if
-from inteco_abs.analysis.compiled_replay import replay_rows
+from inteco_abs.analysis.compiled_replay import CompiledReplay
 from inteco_abs.analysis.replay import decisions, recorded_with
 from inteco_abs.control import CONTROLLERS, ESTIMATORS, build_pipeline, control_check
 from inteco_abs.sessions import TICK, read_session, session_config
@@ -38,7 +38,7 @@ def pipeline_of(session, controllers=CONTROLLERS):
 
 def assert_same_bits(session):
     """Every column of every row, compiled and in Python."""
-    compiled = replay_rows(pipeline_of(session), session.ticks, may_compile=True)
+    compiled = CompiledReplay(pipeline_of(session), may_compile=True).decide(session.ticks)
     python = decisions(session, pipeline_of(session))
     assert compiled is not None
     for column in TICK.columns:
@@ -99,7 +99,7 @@ def disturbed(session, seed):
             case "stop":
                 if draws.random() < 0.3:
                     ticks["stop_request"][row] = draws.choice(list(Reason))
-    return replace(session, ticks=ticks, payload=ticks.tobytes())
+    return session.with_rows(ticks)
 
 
 @settings(max_examples=10, deadline=None)
@@ -119,7 +119,7 @@ def test_a_session_that_differs_has_the_same_differences(two_stops, seed):
     session = disturbed(two_stops, seed + 100)
     ticks = session.ticks.view(np.uint8).copy().view(TICK.dtype)
     ticks["brake"][len(ticks) // 2] += 1e-9
-    compiled, python = both(replace(session, ticks=ticks))
+    compiled, python = both(session.with_rows(ticks))
     assert compiled == python
     assert python.differing > 0
 
@@ -136,8 +136,8 @@ def test_a_session_that_differs_has_the_same_differences(two_stops, seed):
 def test_what_integers_of_64_bits_may_not_hold_is_left_to_python(two_stops, change):
     ticks = two_stops.ticks.view(np.uint8).copy().view(TICK.dtype)
     change(ticks)
-    session = replace(two_stops, ticks=ticks, payload=ticks.tobytes())
-    assert replay_rows(pipeline_of(session), ticks, may_compile=True) is None
+    session = two_stops.with_rows(ticks)
+    assert CompiledReplay(pipeline_of(session), may_compile=True).decide(ticks) is None
     compiled, python = both(session)
     assert compiled == python
 
@@ -213,13 +213,13 @@ def test_what_if_has_the_same_bits(two_stops, settings):
 @pytest.fixture
 def asked(monkeypatch):
     """How often a compiled loop was asked, and whether it might compile."""
-    calls, rows = [], compiled_replay.replay_rows
+    calls, replay = [], compiled_replay.CompiledReplay
 
-    def watched(pipeline, logged, may_compile):
+    def watched(pipeline, may_compile):
         calls.append(may_compile)
-        return rows(pipeline, logged, may_compile)
+        return replay(pipeline, may_compile)
 
-    monkeypatch.setattr(compiled_replay, "replay_rows", watched)
+    monkeypatch.setattr(compiled_replay, "CompiledReplay", watched)
     return calls
 
 

@@ -25,14 +25,8 @@ def changed(quick):
         if truth:
             truth(np.frombuffer(truths, TRUTH.dtype))
         attachments = session.attachments | ({} if config is None else {"config.toml": config})
-        return replace(
-            session,
-            metadata=facts,
-            attachments=attachments,
-            payload=bytes(data),
-            ticks=TICK.array(bytes(data)),
-            truth=TRUTH.array(bytes(truths)),
-        )
+        rows = session.with_rows(TICK.array(bytes(data)), TRUTH.array(bytes(truths)))
+        return replace(rows, metadata=facts, attachments=attachments)
 
     return make
 
@@ -126,7 +120,7 @@ def test_the_truth_is_a_signal_too(quick, changed):
 
 
 def test_a_truth_that_is_missing_is_reported(quick):
-    without = replace(quick.session, truth=quick.session.truth[:0])
+    without = quick.session.with_rows(truth=quick.session.truth[:0])
     assert diff_sessions(quick.session, without).changes["signals"] == [("truth", True, False)]
 
 
@@ -168,6 +162,6 @@ def test_without_braking_signals_are_compared_from_the_first_tick(quick, changed
 
 
 def test_an_empty_session_has_no_signals_to_compare(quick):
-    empty = replace(quick.session, ticks=quick.session.ticks[:0], payload=b"", truth=quick.session.truth[:0])
+    empty = quick.session.with_rows(quick.session.ticks[:0], quick.session.truth[:0])
     assert diff_sessions(empty, empty, ("signals",)).equal
     assert keys(diff_sessions(quick.session, empty, ("signals",))) == {"signals": ["ticks"]}

@@ -70,14 +70,14 @@ class Flips:
     def __init__(self, session, config, row) -> None:
         self.config, self.row = config, row
         payload = session.payload[: (row + LATEST + 1) * TICK.size]
-        self.session = replace(session, payload=payload, ticks=TICK.array(payload))
+        self.session = session.with_rows(TICK.array(payload))
 
     def replayed(self, bit):
         """The replay; what is said instead if there is none."""
         payload = flipped(self.session.payload, 8 * TICK.size * self.row + bit)
         if not TICK.well_formed(payload):
             return "no tick"
-        session = replace(self.session, payload=payload, ticks=TICK.array(payload))
+        session = self.session.with_rows(TICK.array(payload))
         try:
             return replay_session(session, build_pipeline(self.config))
         except SessionError as refusal:

@@ -12,7 +12,7 @@ import pytest
 import scipy.io
 
 from inteco_abs.errors import AbsError, ConfigError, SessionError
-from inteco_abs.sessions import FORMATS, export_session, read_session, tables, to_pandas, to_polars
+from inteco_abs.sessions import FORMATS, export_session, tables, to_pandas, to_polars
 
 COLUMN_COUNTS = {"tick": 28, "truth": 8, "events": 4}
 
@@ -176,10 +176,3 @@ def test_without_a_data_frame_library_it_is_said_what_to_install(quick, monkeypa
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(AbsError, match=f"pip install {package}"):
         convert(quick.session)
-
-
-def test_rows_on_the_disk_are_those_in_memory(quick, tmp_path):
-    spooled = read_session(quick.path, tmp_path)
-    assert bytes(spooled.payload) == quick.session.payload
-    assert spooled.truth.tobytes() == quick.session.truth.tobytes()
-    assert list(tmp_path.iterdir()) == []

@@ -169,7 +169,7 @@ def test_a_session_without_ticks_or_with_what_is_not_known_is_refused(folder, qu
     before = contents(folder)
     session = replace(quick.session, **change)
     if not session.unsupported:
-        session = replace(session, ticks=session.ticks[:0], payload=b"")
+        session = session.with_rows(session.ticks[:0])
     with pytest.raises(SessionError, match=words):
         folder.add(session, "other", "why not", CONTROLLERS)
     assert contents(folder) == before

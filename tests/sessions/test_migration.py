@@ -200,7 +200,7 @@ def replace_ticks(run, **columns):
         ticks[name] = values
 
     class Altered:
-        session = replace(run.session, ticks=ticks)
+        session = run.session.with_rows(ticks)
 
     return Altered
 

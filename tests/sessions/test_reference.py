@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from inteco_abs.analysis import replay_session
-from inteco_abs.analysis.compiled_replay import replay_rows
+from inteco_abs.analysis.compiled_replay import CompiledReplay
 from inteco_abs.analysis.replay import decisions
 from inteco_abs.config import load_config
 from inteco_abs.control import CONTROLLERS, build_pipeline, control_check, make_controller
@@ -31,7 +31,10 @@ def assert_replays(session):
     """In Python and compiled, with the bits of the run."""
     pipelines = [build_pipeline(session_config(session, (control_check(),)), CONTROLLERS) for _ in range(3)]
     assert replay_session(session, pipelines[0]).differing == 0
-    compiled, python = replay_rows(pipelines[1], session.ticks, may_compile=True), decisions(session, pipelines[2])
+    compiled, python = (
+        CompiledReplay(pipelines[1], may_compile=True).decide(session.ticks),
+        decisions(session, pipelines[2]),
+    )
     assert compiled is not None
     for column in TICK.columns:
         if column.role.value != "timing":

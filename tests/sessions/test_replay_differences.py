@@ -117,7 +117,7 @@ def test_the_number_of_the_tick_is_named_not_its_row(quick, replayed):
     ticks = np.frombuffer(payload, TICK.dtype)
     ticks["tick"][:] += 1000
     ticks["drive"][3] = 0.5
-    found = replayed(replace(session, payload=bytes(payload), ticks=TICK.array(bytes(payload))))
+    found = replayed(session.with_rows(TICK.array(bytes(payload))))
     assert (found.differing, found.first.tick) == (1, 1003)
 
 
@@ -195,7 +195,7 @@ def test_a_wrong_time_is_reported_with_the_right_one(quick, retouched, replayed)
 def test_a_tick_that_is_missing_is_found_at_the_next_one(quick, replayed):
     session = quick.session
     payload = b"".join([session.payload[: 10 * TICK.size], session.payload[11 * TICK.size :]])
-    found = replayed(replace(session, payload=payload, ticks=TICK.array(payload)))
+    found = replayed(session.with_rows(TICK.array(payload)))
     assert (found.first.tick, found.first.field, found.first.replayed) == (10, "tick", "10")
 
 
@@ -269,7 +269,7 @@ def test_a_session_that_has_recorded_no_gains_has_none_that_changed(quick):
 def test_a_session_without_ticks_cannot_be_replayed(quick, replayed):
     session = quick.session
     with pytest.raises(SessionError, match="has no ticks"):
-        replayed(replace(session, payload=b"", ticks=session.ticks[:0]))
+        replayed(session.with_rows(session.ticks[:0]))
 
 
 def test_a_session_without_its_configuration_cannot_be_replayed(quick, replayed):

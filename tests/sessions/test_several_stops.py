@@ -5,7 +5,8 @@ import pytest
 
 from inteco_abs.control import CONTROLLERS
 from inteco_abs.sessions import TICK, TRUTH, result_card
-from inteco_abs.sessions.card import RunningCard, in_step
+from inteco_abs.sessions.card import RunningCard
+from inteco_abs.sessions.rows import in_step
 from inteco_abs.signals import BrakeDemand, Phase
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
@@ -81,7 +82,7 @@ def test_the_card_counts_the_stops(run, stops):
 @pytest.mark.parametrize("rows", [1, 10, 997, 4096])
 def test_the_card_is_the_same_in_however_many_pieces_the_run_came(several, rows):
     session, card = several.session, RunningCard(several.config)
-    for ticks, truth in in_step(session.ticks, session.truth, rows):
+    for ticks, truth in in_step([(session.ticks, session.truth)], rows):
         card.add(ticks, truth)
     expected = several.stop.card
     assert {name: expected[name] for name in card.card()} == card.card()

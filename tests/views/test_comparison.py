@@ -7,7 +7,7 @@ import pytest
 
 from inteco_abs.errors import ConfigError
 from inteco_abs.signals import Phase
-from inteco_abs.views.comparison import MOST, labels, phase_spans, require_distinct, since_s, start_ns
+from inteco_abs.views.comparison import MOST, labels, require_distinct, since_s, start_ns
 
 
 def test_one_session_is_named_by_what_it_was_run_with(session):
@@ -76,15 +76,15 @@ def test_time_counts_from_the_first_tick_of_braking_or_of_all(session):
     ticks = session.ticks
     first = int(np.flatnonzero(ticks["phase"] == Phase.BRAKING)[0])
     assert since_s(ticks, start_ns(session))[first] == 0.0
-    before = replace(session, ticks=ticks[:first])
+    before = session.with_rows(ticks[:first])
     assert since_s(before.ticks, start_ns(before))[0] == 0.0
 
 
 def test_spans_are_the_phases_in_their_order(session):
-    found = phase_spans(session.ticks)
+    found = session.rows.phases
     expected = [Phase.IDLE, Phase.ARMED, Phase.SPIN_UP, Phase.BRAKING, Phase.STOPPED, Phase.DONE]
     assert [each.phase for each in found] == expected
     assert found[0].first == 0
     assert found[-1].end == len(session.ticks)
     assert all(a.end == b.first for a, b in itertools.pairwise(found))
-    assert phase_spans(session.ticks[:0]) == []
+    assert session.with_rows(session.ticks[:0]).rows.phases == []

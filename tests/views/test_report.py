@@ -100,13 +100,13 @@ class TestPage:
 
     def test_ten_seconds_of_noise_fit_into_two_and_a_half_megabytes(self, session):
         random, rows = np.random.default_rng(1), 20_000
-        ticks, truth = np.resize(session.ticks, rows), np.resize(session.truth, rows)
+        ticks, truth = (table[np.resize(np.arange(len(table)), rows)] for table in (session.ticks, session.truth))
         for table in (ticks, truth):
             table["time_ns"] = np.arange(rows) * 500_000
             for name in (name for name in table.dtype.names if table.dtype[name] == np.float64):
                 table[name] = random.uniform(0.0, 2.0, rows)
         ticks["phase"] = np.repeat([Phase.SPIN_UP, Phase.BRAKING, Phase.STOPPED], [12_000, 6_000, 2_000])
-        made = report_page([replace(session, ticks=ticks, truth=truth)])
+        made = report_page([session.with_rows(ticks, truth)])
         assert "the smallest and the largest of each" in made
         assert len(made.encode()) < MOST_BYTES
 
@@ -117,7 +117,7 @@ class TestPage:
             evil = with_facts(evil, record, name=EVIL, outcome=EVIL, reason=EVIL, estimator=EVIL, board=EVIL, argv=EVIL)
         ticks = session.ticks.copy()
         ticks["switching"][-5:], ticks["torque_demand_nm"][-5:], ticks["slip"][-9:] = np.inf, 1e300, np.nan
-        evil = replace(evil, path=Path("a" + EVIL.replace("/", "")), log=(LogEntry(0, 4, EVIL),), ticks=ticks)
+        evil = replace(evil.with_rows(ticks), path=Path("a" + EVIL.replace("/", "")), log=(LogEntry(0, 4, EVIL),))
         found = page_of(evil, session)
         assert len(found.of("script")) == len(page.of("script"))
         assert all(attrs["nonce"] for attrs in found.of("script"))
@@ -129,18 +129,18 @@ class TestPage:
 @pytest.mark.usefixtures("without_matplotlib")
 class TestOddSessions:
     def test_one_tick_of_a_real_rig_is_a_page_with_plots(self, session):
-        one = page_of(replace(session, ticks=session.ticks[:1], truth=session.truth[:0]))
+        one = page_of(session.with_rows(session.ticks[:1], session.truth[:0]))
         assert "The run ended before braking" in one.words
         assert len(one.of("figure")) == len(PLOTS)
         assert not any("true" in attrs.get("data-lines", "") for attrs in one.of("button"))
 
     def test_no_tick_is_a_page_without(self, session):
-        empty = page_of(replace(session, ticks=session.ticks[:0], truth=session.truth[:0]))
+        empty = page_of(session.with_rows(session.ticks[:0], session.truth[:0]))
         assert "The session holds no ticks: there is nothing to draw." in empty.words
         assert not empty.of("figure")
 
     def test_one_that_says_nothing_can_neither_be_replayed_nor_repeated(self, session):
-        bare = replace(session, metadata={}, attachments={}, ticks=session.ticks[:0], truth=session.truth[:0])
+        bare = replace(session.with_rows(session.ticks[:0], session.truth[:0]), metadata={}, attachments={})
         words = page_of(bare).words
         assert "The decisions cannot be replayed" in words
         assert "The run cannot be repeated" in words

@@ -2,7 +2,6 @@
 
 import base64
 import io
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -154,7 +153,7 @@ def test_a_comparison_of_odd_sessions_draws_what_they_have_and_runs_none_of_thei
     browser, session, others, faulty, with_facts, tmp_path
 ):
     evil = with_facts(others[0], "controller", name=EVIL, estimator=EVIL)
-    one = replace(others[1], ticks=others[1].ticks[:1], truth=others[1].truth[:0])
+    one = others[1].with_rows(others[1].ticks[:1], others[1].truth[:0])
     write_report([session, evil, faulty, one], tmp_path / "comparison.html")
     browser.show(tmp_path / "comparison.html")
     assert of_colour(browser.picture("slip"), BLUE) > 100
@@ -165,6 +164,6 @@ def test_a_comparison_of_odd_sessions_draws_what_they_have_and_runs_none_of_thei
 
 
 def test_a_session_without_ticks_is_a_quiet_page(browser, session, tmp_path):
-    write_report([replace(session, ticks=session.ticks[:0], truth=session.truth[:0])], tmp_path / "empty.html")
+    write_report([session.with_rows(session.ticks[:0], session.truth[:0])], tmp_path / "empty.html")
     browser.show(tmp_path / "empty.html")
     assert browser.complaints() == []

@@ -20,11 +20,11 @@ def with_ticks(session, **columns):
     ticks = session.ticks.copy()
     for name, (row, value) in columns.items():
         ticks[name][row:] = value
-    return replace(session, ticks=ticks, payload=ticks.tobytes())
+    return session.with_rows(ticks)
 
 
 def without_ticks(session):
-    return replace(session, ticks=session.ticks[:0], truth=session.truth[:0], payload=b"")
+    return session.with_rows(session.ticks[:0], session.truth[:0])
 
 
 @pytest.fixture
@@ -136,7 +136,7 @@ class TestWarnings:
         assert "Recovered, with losses: a tick." in warnings_of(with_facts(clean, "recovery", lost="a tick"))
 
     def test_no_braking_and_no_ticks(self, clean):
-        early = replace(clean, ticks=clean.ticks[:10])
+        early = clean.with_rows(clean.ticks[:10])
         assert warnings_of(early) == ["The run ended before braking: times count from its first tick."]
         assert warnings_of(without_ticks(clean)) == ["The session holds no ticks: there is nothing to draw."]
 
@@ -181,7 +181,7 @@ class TestCommands:
 class TestCourses:
     def test_a_real_rig_has_no_truth(self, session):
         (simulated,) = traces_of([session])
-        (real,) = traces_of([replace(session, truth=session.truth[:0])])
+        (real,) = traces_of([session.with_rows(truth=session.truth[:0])])
         assert simulated.points.columns.keys() - real.points.columns.keys() == {"true_slip", "true_brake_torque_nm"}
 
     def test_true_values_are_those_at_the_ticks(self, session):
@@ -194,7 +194,7 @@ class TestCourses:
         assert trace.held_s[0] == 0.0
         again = np.concatenate([session.ticks, session.ticks])
         again["time_ns"] = np.arange(len(again)) * 500_000
-        (twice,) = traces_of([replace(session, ticks=again, truth=session.truth[:0])])
+        (twice,) = traces_of([session.with_rows(again, session.truth[:0])])
         assert twice.held_s == pytest.approx(trace.held_s)
         assert [band.phase for band in twice.bands].count(Phase.BRAKING) == 2
 
@@ -204,6 +204,6 @@ class TestCourses:
         assert len({trace.look.marker for trace in found}) == 2
 
     def test_one_that_never_braked_is_shown_whole(self, session):
-        (trace,) = traces_of([replace(session, ticks=session.ticks[:10])])
+        (trace,) = traces_of([session.with_rows(session.ticks[:10])])
         assert not trace.braked
         assert trace.held_s == trace.whole_s

@@ -11,7 +11,7 @@ from inteco_abs.sessions import CONFIG_NAME, CONTROLLER_FILES, CONTROLLER_SOURCE
 
 def replay_commands(session: Session) -> list[str]:
     """Commands that replay the session; none without its configuration."""
-    if CONFIG_NAME not in session.attachments or not len(session.ticks):
+    if CONFIG_NAME not in session.attachments or not session.tick_count:
         return []
     return [*_extract_controller(session), _line("replay", str(session.path), *_controller(session))]
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from inteco_abs.errors import AbsError, ConfigError
 from inteco_abs.sessions import Session, check_output, write_file
 from inteco_abs.version import __version__
-from inteco_abs.views.comparison import held_rows, labels, require_distinct
+from inteco_abs.views.comparison import held_spans, labels, require_distinct
 from inteco_abs.views.figure import svg_of
 from inteco_abs.views.report.commands import repeat_commands, replay_commands
 from inteco_abs.views.report.facts import fact_tables, result_rows
@@ -134,7 +134,7 @@ def _density(trace: ReportTrace, *, alone: bool) -> str:
 
 def _print_figure(sessions: Sequence[Session]) -> str:
     """The figure for print as SVG in base64; empty without matplotlib, or if no session braked."""
-    braked = [session for session in sessions if len(held_rows(session.ticks))]
+    braked = [session for session in sessions if held_spans(session)]
     if not braked or importlib.util.find_spec("matplotlib") is None:
         return ""
     return base64.b64encode(svg_of(braked)).decode("ascii")

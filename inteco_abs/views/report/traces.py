@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from inteco_abs.sessions import Session, aligned_truth
+from inteco_abs.format import TRUTH
+from inteco_abs.sessions import PhaseSpan, Session, aligned_truth, joined_rows
 from inteco_abs.signals import Phase
-from inteco_abs.views.comparison import PALETTE, held_rows, phase_spans, since_s, start_ns
-from inteco_abs.views.decimation import Decimated, decimate
+from inteco_abs.views.comparison import PALETTE, held_spans, since_s, start_ns
+from inteco_abs.views.decimation import Decimated, Decimator
 
 _POINTS: Final = 9000
 """Points of a lone session: at most 0.9 MB, where bokeh's script takes 1.3 MB."""
@@ -60,6 +62,8 @@ class ReportTrace:
     session: Session
     points: Decimated
     """Columns of the ticks, and as `true_NAME` those of the simulated rig at the same times."""
+    late_us: Array
+    """Lateness of every tick."""
     bands: tuple[Band, ...]
     held_s: tuple[float, float]
     """First and last time of the first stop, or of a session without one."""
@@ -70,7 +74,7 @@ class ReportTrace:
 def traces_of(sessions: Sequence[Session]) -> list[ReportTrace]:
     """Traces of all sessions with ticks."""
     most = _POINTS if len(sessions) == 1 else _POINTS_OF_EACH
-    return [_trace(look_of(at), session, most) for at, session in enumerate(sessions) if len(session.ticks)]
+    return [_trace(look_of(at), session, most) for at, session in enumerate(sessions) if session.tick_count]
 
 
 def look_of(at: int) -> Look:
@@ -79,33 +83,44 @@ def look_of(at: int) -> Look:
 
 
 def _trace(look: Look, session: Session, most: int) -> ReportTrace:
-    start = start_ns(session)
-    time_s = since_s(session.ticks, start)
+    start, spans = start_ns(session), session.rows.phases
+    ends_ns = [*(span.first_ns for span in spans[1:]), spans[-1].last_ns]
     bands = tuple(
-        Band(each.phase, float(time_s[each.first]), float(time_s[min(each.end, len(time_s) - 1)]))
-        for each in phase_spans(session.ticks)
+        Band(span.phase, (span.first_ns - start) * 1e-9, (end_ns - start) * 1e-9)
+        for span, end_ns in zip(spans, ends_ns, strict=True)
     )
-    held, whole_s = _first_run(held_rows(session.ticks)), (float(time_s[0]), float(time_s[-1]))
-    columns = {name: session.ticks[name] for name in _TICK_COLUMNS}
-    truth = aligned_truth(session.truth, session.ticks["time_ns"])
-    if truth is not None:
-        columns |= {f"true_{name}": truth[name] for name in _TRUTH_COLUMNS}
+    held = _first_run(held_spans(session))
+    whole_s = (spans[0].first_ns - start) * 1e-9, (spans[-1].last_ns - start) * 1e-9
+    matter = sum(int(_matters(since_s(ticks, start), bands).sum()) for ticks, _ in session.blocks())
+    names = [*_TICK_COLUMNS, *(f"true_{name}" for name in _TRUTH_COLUMNS if session.truth_count)]
+    points = Decimator(names, matter, session.tick_count - matter, most)
+    late_us, newest = list[Array](), TRUTH.array(b"")
+    for ticks, truth in session.blocks():
+        known = joined_rows(newest, truth)
+        newest = known[-1:]
+        columns = {name: ticks[name] for name in _TICK_COLUMNS}
+        aligned = aligned_truth(known, ticks["time_ns"])
+        if aligned is not None:
+            columns |= {f"true_{name}": aligned[name] for name in _TRUTH_COLUMNS}
+        time_s = since_s(ticks, start)
+        points.add(columns, time_s, _matters(time_s, bands))
+        late_us.append(ticks["late_us"].copy())
     return ReportTrace(
         look,
         session,
-        decimate(columns, time_s, _matters(time_s, bands), most),
+        points.decimated(),
+        np.concatenate(late_us),
         bands,
-        (float(time_s[held[0]]), float(time_s[held[-1]])) if len(held) else whole_s,
+        ((held[0].first_ns - start) * 1e-9, (held[-1].last_ns - start) * 1e-9) if held else whole_s,
         whole_s,
         len(held) > 0,
     )
 
 
-def _first_run(rows: Array) -> Array:
-    """The first rows without a gap."""
-    gaps = np.flatnonzero(np.diff(rows) > 1)
-    run: Array = rows[: gaps[0] + 1] if len(gaps) else rows
-    return run
+def _first_run(spans: Sequence[PhaseSpan]) -> Sequence[PhaseSpan]:
+    """The first phases that follow each other without a gap."""
+    gaps = [at for at, (one, other) in enumerate(pairwise(spans), 1) if one.end != other.first]
+    return spans[: gaps[0]] if gaps else spans
 
 
 def _matters(time_s: Array, bands: Sequence[Band]) -> Array:
@@ -113,5 +128,6 @@ def _matters(time_s: Array, bands: Sequence[Band]) -> Array:
     found = np.zeros(len(time_s), bool)
     for band in bands:
         if band.phase in {Phase.BRAKING, Phase.STOPPED}:
-            found |= (time_s >= band.start_s - MARGIN_S) & (time_s <= band.end_s + MARGIN_S)
+            first, end = np.searchsorted(time_s, (band.start_s - MARGIN_S, band.end_s + MARGIN_S), side="left")
+            found[first:end] = True
     return found

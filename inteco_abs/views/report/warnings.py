@@ -9,7 +9,7 @@ import numpy as np
 
 from inteco_abs.sessions import Session, card_of, link_errors
 from inteco_abs.signals import EXPLANATIONS, BoardFlags, Phase, Reason
-from inteco_abs.views.comparison import held_rows, since_s, start_ns
+from inteco_abs.views.comparison import held_spans, start_ns
 
 _WELL: Final = "completed"
 _WARNING: Final = 3
@@ -18,8 +18,9 @@ _MOST_EVENTS: Final = 10
 
 def warnings_of(session: Session) -> list[str]:
     """Warnings, most important first; empty for a good stop."""
-    first = *_injected(session), *_end(session), *_guard(session)
-    return [*first, *_losses(session), *_machine(session), *_source(session), *_log(session)]
+    counts = _Counts(session)
+    first = *_injected(session), *_end(session), *_guard(session, counts)
+    return [*first, *_losses(session, counts), *_machine(session), *_source(session), *_log(session, counts)]
 
 
 def _injected(session: Session) -> Iterator[str]:
@@ -37,7 +38,7 @@ def outcome_of(session: Session) -> str:
 
 def _end(session: Session) -> Iterator[str]:
     if session.incomplete:
-        yield f"The file is incomplete: {session.incomplete}. {len(session.ticks)} ticks could be read."
+        yield f"The file is incomplete: {session.incomplete}. {session.tick_count} ticks could be read."
     outcome = outcome_of(session)
     if outcome != _WELL:
         why = _explanation(session)
@@ -45,9 +46,9 @@ def _end(session: Session) -> Iterator[str]:
     lost = session.metadata.get("recovery", {}).get("lost", "")
     if lost not in _explanation(session):
         yield f"Recovered, with losses: {lost}."
-    if not len(session.ticks):
+    if not session.tick_count:
         yield "The session holds no ticks: there is nothing to draw."
-    elif not len(held_rows(session.ticks)):
+    elif not held_spans(session):
         yield "The run ended before braking: times count from its first tick."
 
 
@@ -57,38 +58,52 @@ def _explanation(session: Session) -> str:
     return str(card.get("explanation") or session.metadata.get("session", {}).get("reason", ""))
 
 
-def _guard(session: Session) -> Iterator[str]:
-    rows = np.flatnonzero(session.ticks["reason"])
-    if not len(rows):
+class _Counts:
+    """What the ticks have to say, in one pass."""
+
+    def __init__(self, session: Session) -> None:
+        self.first_reason: tuple[int, int, Reason] | None = None
+        """Index, number and reason of the first tick without outputs."""
+        self.reasons: set[Reason] = set()
+        self.overruns = self.overruns_held = self.failed = self.slow = 0
+        ticks_before = 0
+        for ticks, _ in session.blocks():
+            self.reasons |= {Reason(each) for each in np.unique(ticks["reason"])}
+            if self.first_reason is None and ticks["reason"].any():
+                row = int(np.flatnonzero(ticks["reason"])[0])
+                self.first_reason = ticks_before + row, int(ticks["tick"][row]), Reason(ticks["reason"][row])
+                self.first_reason_ns = int(ticks["time_ns"][row])
+            held = (ticks["phase"] == Phase.BRAKING) | (ticks["phase"] == Phase.STOPPED)
+            self.overruns += int(ticks["skipped"].sum())
+            self.overruns_held += int(ticks["skipped"][held].sum())
+            self.failed += link_errors(ticks)
+            self.slow += int(((ticks["board_flags"] & BoardFlags.SLOW) != 0).sum())
+            ticks_before += len(ticks)
+
+
+def _guard(session: Session, counts: _Counts) -> Iterator[str]:
+    if counts.first_reason is None:
         return
-    tick = session.ticks[rows[0]]
-    reason = Reason(tick["reason"])
-    at_s = since_s(session.ticks[rows[:1]], start_ns(session))[0]
+    row, tick, reason = counts.first_reason
+    at_s = (counts.first_reason_ns - start_ns(session)) * 1e-9
     why = EXPLANATIONS[reason]
     words = reason.name if why in _explanation(session) else f"{reason.name}, {why}"
-    phase = _last_phase(session, int(rows[0]))
-    yield f"The outputs were taken away at tick {tick['tick']} ({at_s:.4f} s), in the phase {phase}: {words}."
+    phase = _last_phase(session, row)
+    yield f"The outputs were taken away at tick {tick} ({at_s:.4f} s), in the phase {phase}: {words}."
 
 
 def _last_phase(session: Session, row: int) -> str:
-    before = session.ticks["phase"][:row]
-    sound = before[before != Phase.FAULT]
-    return Phase(sound[-1]).name.lower().replace("_", "-") if len(sound) else "idle"
+    sound = [span.phase for span in session.rows.phases if span.first < row and span.phase is not Phase.FAULT]
+    return sound[-1].name.lower().replace("_", "-") if sound else "idle"
 
 
-def _losses(session: Session) -> Iterator[str]:
-    ticks = session.ticks
-    overruns = int(ticks["skipped"].sum())
-    if overruns:
-        held = held_rows(ticks)
-        while_held = int(ticks["skipped"][held].sum())
-        yield f"{overruns} periods were overrun, {while_held} of them while the brake was in charge."
-    failed = link_errors(ticks)
-    if failed:
-        yield f"{failed} exchanges with the board failed; the counts before stand in for theirs."
-    slow = int(((ticks["board_flags"] & BoardFlags.SLOW) != 0).sum())
-    if slow:
-        yield f"{slow} exchanges with the board took longer than a period."
+def _losses(session: Session, counts: _Counts) -> Iterator[str]:
+    if counts.overruns:
+        yield f"{counts.overruns} periods were overrun, {counts.overruns_held} of them while the brake was in charge."
+    if counts.failed:
+        yield f"{counts.failed} exchanges with the board failed; the counts before stand in for theirs."
+    if counts.slow:
+        yield f"{counts.slow} exchanges with the board took longer than a period."
     lost = (card_of(session) or {}).get("lost_ticks")
     if lost:
         yield f"{lost} ticks were decided and are not in the file."
@@ -111,8 +126,8 @@ def _source(session: Session) -> Iterator[str]:
         yield f"Dirty tree: the program had changes that commit {commit} does not hold."
 
 
-def _log(session: Session) -> Iterator[str]:
-    known = [EXPLANATIONS[Reason(reason)] for reason in np.unique(session.ticks["reason"])]
+def _log(session: Session, counts: _Counts) -> Iterator[str]:
+    known = [EXPLANATIONS[reason] for reason in counts.reasons]
     texts = [event.text for event in session.log if event.level >= _WARNING]
     texts = [text for text in texts if not any(why in text for why in known)]
     yield from (f"Log: {text}." for text in texts[:_MOST_EVENTS])
