@@ -149,7 +149,7 @@ class VirtualRun:
                 if snapshot is not None:
                     screen.show(snapshot)
                 if not over:
-                    self._record(writer)
+                    self._record(writer, last=False)
                     if progress is not None:
                         progress(self._pipeline.phase, self._ring.written)
         finally:
@@ -159,7 +159,7 @@ class VirtualRun:
                 finally:
                     board.make_safe()  # before anything that takes time or can fail
             finally:
-                self._record(writer)
+                self._record(writer, last=True)
 
     def _run_slice(self, loop: Loop) -> bool:
         """Run some ticks; True once the experiment is over. Many of a program are compiled."""
@@ -204,8 +204,8 @@ class VirtualRun:
         if compiled is not None:
             compiled.resume()
 
-    def _record(self, writer: FailoverWriter) -> None:
-        writer.add(*self._window.more())
+    def _record(self, writer: FailoverWriter, *, last: bool) -> None:
+        writer.add(*self._window.more(last=last))
         if self._window.waiting > self._window.room:
             writer.flush()
             if writer.writing:

@@ -32,10 +32,18 @@ class Window:
         """Number of ticks that were returned by `more` and not released."""
         return self._end - self._ticks.taken
 
-    def more(self) -> tuple[bytes, bytes]:
-        """Return the ticks and states since the last call; they stay in memory until `release`."""
+    def more(self, *, last: bool) -> tuple[bytes, bytes]:
+        """Return the ticks and states since the previous call; they stay in memory until `release`.
+
+        States after the newest tick wait for the next call, unless this is the `last`, so that a file has all by time.
+        """
         ticks, self._end = self._ticks.look(self._end)
-        truths, self._truths_end = self._truths.look(self._truths_end)  # after the ticks: all states before them
+        truths, end = self._truths.look(self._truths_end)  # after the ticks: all states before them
+        if not last:
+            times_ns = TRUTH.array(truths)["time_ns"]
+            known = int(times_ns.searchsorted(_newest_ns(TICK, ticks), side="right"))
+            truths, end = truths[: known * TRUTH.size], end - (len(times_ns) - known)
+        self._truths_end = end
         return ticks, truths
 
     def skip_truths(self) -> None:

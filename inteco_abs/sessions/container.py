@@ -302,9 +302,8 @@ def chunk_parts(raw: bytes, variable_size: Collection[int] = ()) -> Iterator[Ent
             yield run
             at = run.end
             continue
-        rows = _fixed_run(raw, at - HEAD.size, length)
-        yield FixedRun(channel, rows)
-        at += len(rows) * (HEAD.size + length) - HEAD.size
+        runs, at = _fixed_runs(raw, at - HEAD.size, channel, variable_size)
+        yield from runs
 
 
 def _variable_run(raw: bytes, start: int, channel: int) -> VariableRun:
@@ -363,17 +362,43 @@ def _alike_indexes(summary: bytes, at: int, stride: int) -> npt.NDArray[np.void]
     return rows
 
 
-def _fixed_run(raw: bytes, at: int, length: int) -> npt.NDArray[np.void]:
-    """Messages from `at` with the type, length and channel of the first."""
-    stride = HEAD.size + length
+def _fixed_runs(raw: bytes, at: int, channel: int, variable_size: Collection[int]) -> tuple[list[FixedRun], int]:
+    """Messages of fixed sizes from `at` on, of one channel or of several that take turns, and where they end."""
+    places = _turns(raw, at, channel, variable_size)
+    stride = sum(HEAD.size + length for length, _ in places.values())
     most = (len(raw) - at) // stride
-    head = raw[at : at + _SAME]
-    count = 1
+    count = min(_alike(raw, place, stride, most) for _, place in places.values())
+    if count == 1:  # these are no turns
+        places = {channel: places[channel]}
+        stride = HEAD.size + places[channel][0]
+    runs = [
+        FixedRun(number, np.ndarray(count, message_dtype(size - MESSAGE_HEAD), raw, place, (stride,)))
+        for number, (size, place) in places.items()
+    ]
+    return runs, at + count * stride
+
+
+def _turns(raw: bytes, at: int, channel: int, variable_size: Collection[int]) -> dict[int, tuple[int, int]]:
+    """Length and place of the next message of each channel until the turn of the first comes again, or of it alone."""
+    _, length, number = _MESSAGE_BEGIN.unpack_from(raw, at)
+    found, end = {channel: (length, at)}, at + HEAD.size + length
+    while end + HEAD.size + MESSAGE_HEAD <= len(raw):
+        opcode, length, number = _MESSAGE_BEGIN.unpack_from(raw, end)
+        if number in found or number in variable_size or opcode != Opcode.MESSAGE or length < MESSAGE_HEAD:
+            break
+        if end + HEAD.size + length > len(raw):
+            break
+        found[number] = length, end
+        end += HEAD.size + length
+    return found if number == channel else {channel: found[channel]}
+
+
+def _alike(raw: bytes, at: int, stride: int, most: int) -> int:
+    """Number of messages from `at` on, one each `stride`, with the type, length and channel of the first."""
+    head, count = raw[at : at + _SAME], 1
     while count < min(most, _ONE_BY_ONE) and raw[at + count * stride : at + count * stride + _SAME] == head:
         count += 1
-    if count == _ONE_BY_ONE:
-        count = _long_run(raw, at, stride, count, most)
-    return np.ndarray(count, message_dtype(length - MESSAGE_HEAD), raw, at)
+    return _long_run(raw, at, stride, count, most) if count == _ONE_BY_ONE else count
 
 
 def _long_run(raw: bytes, at: int, stride: int, count: int, most: int, same: int = _SAME) -> int:

@@ -12,6 +12,7 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.metadata import version
 from io import BufferedWriter
+from itertools import pairwise
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self
@@ -42,7 +43,7 @@ from inteco_abs.sessions.channels import (
 from inteco_abs.sessions.content import ATTACHMENT_HASH
 from inteco_abs.sessions.disk import Disk
 from inteco_abs.sessions.files import check_output
-from inteco_abs.sessions.mcap_writer import McapWriter
+from inteco_abs.sessions.mcap_writer import McapWriter, Messages
 from inteco_abs.sessions.reader import stored_rows
 
 if TYPE_CHECKING:
@@ -90,8 +91,8 @@ class FileWriter:
         self._disk = Disk(path)
         self._file = BufferedWriter(self._disk)
         self._writer = McapWriter(self._file, f"inteco-abs/{version('inteco-abs')}")
-        self._waiting, self._kind = bytearray(), TICK
-        """Messages of one kind that are not in the chunk yet."""
+        self._waiting = {message.topic: bytearray() for message in (TICK, TRUTH)}
+        """Ticks and states that are not in the chunk yet."""
         self._tick_channel = self._channel(row_channel(TICK, controller_internals))
         self._truth_channel = -1
         self._event_channel = self._channel(event_channel())
@@ -159,47 +160,60 @@ class FileWriter:
         """Add states of the simulated rig, back to back."""
         self._wait(TRUTH, records)
 
-    def _wait(self, kind: Message, records: bytes) -> None:
+    def _wait(self, message: Message, records: bytes) -> None:
         """Keep messages until the flush, which packs them all at once, in a tenth of the time."""
-        if not records:
-            return
-        if kind is not self._kind:
-            self._pack()
-        self._kind = kind
-        self._waiting += records
-        if len(self._waiting) > _MOST_WAITING:
+        self._waiting[message.topic] += records
+        if sum(map(len, self._waiting.values())) > _MOST_WAITING:
             self._pack()
 
     def _pack(self) -> None:
-        """Put the waiting messages into the chunk, with the events among them."""
-        records, self._waiting = self._waiting, bytearray()
-        if not records:
+        """Put the waiting messages into the chunk by time, with the events among them."""
+        if not any(self._waiting.values()):
             return
-        rows = self._kind.array(records)
-        times_ns = rows["time_ns"] + np.uint64(self._epoch_ns % (1 << 64))
-        if self._kind is TICK:
-            self._pack_ticks(rows, times_ns)
-            return
+        ticks, states = (message.array(bytes(self._waiting[message.topic])) for message in (TICK, TRUTH))
+        for waiting in self._waiting.values():
+            waiting.clear()
+        tick_ns, state_ns = (rows["time_ns"] + np.uint64(self._epoch_ns % (1 << 64)) for rows in (ticks, states))
+        before = np.searchsorted(state_ns, tick_ns, side="right")
+        turns = np.diff(before, prepend=0)  # states before each tick and after the previous one
+        events = dict(self._states.among(ticks))
+        edges = {0, *(np.flatnonzero(np.diff(turns)) + 1).tolist(), *events, *(at + 1 for at in events), len(ticks)}
+        for start, end in pairwise(sorted(edges)):
+            first = int(before[start] - turns[start])
+            rows = slice(start, end)
+            if end - start == 1 or turns[start] > 1:  # few
+                for at in range(start, end):
+                    self._pack_states(states[first : before[at]], state_ns[first : before[at]])
+                    for level, text in events.get(at, ()):
+                        self.event(int(tick_ns[at]), level, text)
+                    self._writer.add_messages(self._tick_messages(ticks[at : at + 1], tick_ns[at : at + 1]))
+                    first = before[at]
+            elif turns[start]:
+                known = slice(first, first + end - start)
+                known_ns = state_ns[known]
+                self._writer.add_messages(
+                    self._state_messages(states[known], known_ns), self._tick_messages(ticks[rows], tick_ns[rows])
+                )
+            else:
+                self._writer.add_messages(self._tick_messages(ticks[rows], tick_ns[rows]))
+        last = int(before[-1]) if len(ticks) else 0
+        self._pack_states(states[last:], state_ns[last:])
+        for times_ns in (tick_ns, state_ns):
+            self._newest_ns = max(self._newest_ns, int(times_ns.max(initial=0)))
+
+    def _pack_states(self, rows: npt.NDArray[np.void], times_ns: npt.NDArray[np.uint64]) -> None:
+        if len(rows):
+            self._writer.add_messages(self._state_messages(rows, times_ns))
+
+    def _tick_messages(self, rows: npt.NDArray[np.void], times_ns: npt.NDArray[np.uint64]) -> Messages:
+        first, self._packed = self._packed, self._packed + len(rows)
+        return Messages(self._tick_channel, first, times_ns, _plain(rows))
+
+    def _state_messages(self, rows: npt.NDArray[np.void], times_ns: npt.NDArray[np.uint64]) -> Messages:
         if self._truth_channel < 0:
             self._truth_channel = self._channel(row_channel(TRUTH))
-        self._writer.add_messages(self._truth_channel, self._truths, times_ns, _plain(rows))
-        self._truths += len(rows)
-
-    def _pack_ticks(self, rows: npt.NDArray[np.void], times_ns: npt.NDArray[np.uint64]) -> None:
-        data, start = _plain(rows), 0
-
-        def add(end: int) -> None:
-            nonlocal start
-            self._writer.add_messages(self._tick_channel, self._packed, times_ns[start:end], data[start:end])
-            self._packed += end - start
-            start = end
-
-        for index, entries in self._states.among(rows):
-            add(index)
-            for level, text in entries:
-                self.event(int(times_ns[index]), level, text)
-        add(len(rows))
-        self._newest_ns = int(times_ns[-1])
+        first, self._truths = self._truths, self._truths + len(rows)
+        return Messages(self._truth_channel, first, times_ns, _plain(rows))
 
     def frames(self, facts: Mapping[str, str], messages: Iterable[tuple[int, bytes]]) -> int:
         """Add raw frames, as monotonic time in ns and message; return their number. `facts` describe the channel.

@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Mapping
-from typing import BinaryIO, Final
+from typing import BinaryIO, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +31,17 @@ _GROUPS: Final = (
     Opcode.METADATA_INDEX,
 )
 """Types of records in the summary, in order."""
+
+
+class Messages(NamedTuple):
+    """Messages of one channel and one size."""
+
+    channel: int
+    first: int
+    """Sequence number of the first."""
+    times_ns: npt.NDArray[np.uint64]
+    """UNIX times."""
+    data: npt.NDArray[np.void]
 
 
 class McapWriter:
@@ -71,26 +82,33 @@ class McapWriter:
         """Add one message."""
         entry = _ENTRY.pack(unix_ns, len(self._chunk))
         head = _MESSAGE.pack(Opcode.MESSAGE, MESSAGE_HEAD + len(data), channel, sequence, unix_ns, unix_ns)
-        self._take(channel, head + data, entry, (unix_ns, unix_ns))
+        self._index(channel, entry, (unix_ns, unix_ns))
+        self._chunk += head + data
+        self._end_full_chunk()
 
-    def add_messages(
-        self, channel: int, first: int, times_ns: npt.NDArray[np.uint64], data: npt.NDArray[np.void]
-    ) -> None:
-        """Add messages of one size at UNIX times in ns; sequence numbers begin with `first`."""
-        rows = np.empty(len(data), message_dtype(data.itemsize))
-        size = rows.itemsize
-        rows["opcode"], rows["length"], rows["channel"] = Opcode.MESSAGE, MESSAGE_HEAD + data.itemsize, channel
-        rows["sequence"] = np.arange(first, first + len(rows)) & 0xFFFFFFFF
-        rows["log_time"] = rows["publish_time"] = times_ns
-        rows["data"] = data
-        while len(rows):
+    def add_messages(self, *streams: Messages) -> None:
+        """Add messages in turns: of each of the `streams`, which are as long as each other, one after the other."""
+        columns = [(f"{at}", message_dtype(stream.data.itemsize)) for at, stream in enumerate(streams)]
+        turns = np.empty(len(streams[0].data), columns)
+        for (name, _), stream in zip(columns, streams, strict=True):
+            rows = turns[name]
+            rows["opcode"], rows["channel"] = Opcode.MESSAGE, stream.channel
+            rows["length"] = MESSAGE_HEAD + stream.data.itemsize
+            rows["sequence"] = np.arange(stream.first, stream.first + len(rows)) & 0xFFFFFFFF
+            rows["log_time"] = rows["publish_time"] = stream.times_ns
+            rows["data"] = stream.data
+        size = turns.itemsize
+        while len(turns):
             fit = max((self._chunk_bytes - len(self._chunk)) // size + 1, 1)
-            part, rows = rows[:fit], rows[fit:]
-            entries = np.empty((len(part), 2), "<u8")
-            entries[:, 0] = part["log_time"]
-            entries[:, 1] = len(self._chunk) + size * np.arange(len(part))
-            span_ns = int(entries[:, 0].min()), int(entries[:, 0].max())
-            self._take(channel, part.tobytes(), entries.tobytes(), span_ns)
+            part, turns = turns[:fit], turns[fit:]
+            at = len(self._chunk) + size * np.arange(len(part))
+            for (name, of), stream in zip(columns, streams, strict=True):
+                entries = np.empty((len(part), 2), "<u8")
+                entries[:, 0], entries[:, 1] = part[name]["log_time"], at
+                self._index(stream.channel, entries.tobytes(), (int(entries[:, 0].min()), int(entries[:, 0].max())))
+                at += of.itemsize
+            self._chunk += part.tobytes()
+            self._end_full_chunk()
 
     def add_metadata(self, name: str, facts: Mapping[str, str]) -> None:
         """Add a metadata record, in front of the unfinished chunk."""
@@ -147,12 +165,11 @@ class McapWriter:
         messages = b"".join(BY_CHANNEL.pack(*each) for each in self._messages.items())
         self._list(Opcode.STATISTICS, sum(self._messages.values()), *numbers, *span_ns, messages)
 
-    def _take(self, channel: int, records: bytes, entries: bytes, span_ns: tuple[int, int]) -> None:
-        self._chunk += records
+    def _index(self, channel: int, entries: bytes, span_ns: tuple[int, int]) -> None:
+        """Note messages that follow in the chunk."""
         self._indices.setdefault(channel, bytearray()).extend(entries)
         self._messages[channel] = self._messages.get(channel, 0) + len(entries) // _ENTRY.size
         self._span_ns, self._whole_span_ns = _joined(self._span_ns, span_ns), _joined(self._whole_span_ns, span_ns)
-        self._end_full_chunk()
 
     def _declare(self, kind: Opcode, data: bytes) -> None:
         """Add a schema or channel to the chunk and the summary."""

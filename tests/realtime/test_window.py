@@ -47,9 +47,9 @@ def run(new_memory):
 def test_what_came_is_handed_over_once_and_stays_after_it_is_in_a_file(run):
     run.window.skip_truths()
     run.ticks(5)
-    first = run.window.more()
+    first = run.window.more(last=True)
     run.ticks(2)
-    assert (numbers([first])[0], numbers([run.window.more()])[0]) == ([0, 1, 2, 3, 4], [5, 6])
+    assert (numbers([first])[0], numbers([run.window.more(last=True)])[0]) == ([0, 1, 2, 3, 4], [5, 6])
     assert run.window.waiting == 7
     run.window.release()
     assert run.window.waiting == 0
@@ -59,7 +59,7 @@ def test_what_came_is_handed_over_once_and_stays_after_it_is_in_a_file(run):
 
 def test_a_tick_never_comes_before_a_state_that_it_has_seen(run):
     run.ticks(10_000)
-    run.window.more()
+    run.window.more(last=True)
     blocks, newest_ns = list(run.window.held()), 0
     assert len(blocks) > 2
     for ticks, truths in blocks:
@@ -73,7 +73,7 @@ def test_a_wrapped_ring_returns_only_rows_the_loop_cannot_overwrite(new_memory):
     run = Run(memory)
     for _ in range(3):
         run.ticks(500)
-        run.window.more()
+        run.window.more(last=True)
         run.window.release()
     assert numbers(run.window.held())[0] == list(range(800, 1500))
     over = Window(memory.tick_reader(), memory.truth_reader(), over=True)
@@ -84,10 +84,10 @@ def test_what_no_file_has_is_held_to_the_last_tick_that_comes_in(new_memory):
     memory = new_memory(800, 1700)
     run = Run(memory)
     run.ticks(100)
-    run.window.more()
+    run.window.more(last=True)
     run.window.release()
     run.ticks(800)
-    run.window.more()
+    run.window.more(last=True)
     assert run.window.room == 0
     assert numbers(run.window.held())[0] == list(range(100, 900))
 

@@ -155,7 +155,7 @@ class _Drain:
             if over:
                 self._wait_for_the_rescue()
             self._alarm.look()
-            self._hand_over()
+            self._hand_over(last=over)
             self._add_environment(wait=over)
             if time.monotonic() - flushed >= _FLUSH_S:
                 self._flush()
@@ -182,8 +182,8 @@ class _Drain:
             self._memory.post(Mailbox.ENVIRONMENT, self._writer.header.environment.as_note())
             self._environment = None
 
-    def _hand_over(self) -> None:
-        ticks, truths = self._window.more()
+    def _hand_over(self, *, last: bool) -> None:
+        ticks, truths = self._window.more(last=last)
         self._writer.add(ticks, truths)
         _count(self._memory, ticks)
 
