@@ -64,7 +64,7 @@ def test_missing_memory_is_reported_as_such(main_here, monkeypatch):
     def starve(*_args, **_options):
         raise MemoryError
 
-    monkeypatch.setattr("inteco_abs.sessions.read_session", starve)
+    monkeypatch.setattr("inteco_abs.sessions.open_session", starve)
     done = main_here("info", "stop.mcap")
     assert done.returncode == 1
     assert "there is not enough memory; end other programs, or allow more (ulimit -v)" in done.stderr

@@ -182,7 +182,7 @@ FULL = [
     Row("a stop as by default", f"run {QUICK}", 1, ("File too large", "rig was not moved"), "make room there"),
     Row("a series", f"repeat 2 {QUICK}", 1, ("File too large",), "make room there"),
     Row("a plan", f"identify --plan {QUICK}", 1, ("File too large",), "make room there"),
-    Row("an export", "export stop.mcap --format csv", 1, ("no room", "File too large"), "make room", (session(),)),
+    Row("an export", "export stop.mcap --format csv", 1, ("File too large",), "make room", (session(),)),
     Row("a figure", "figure stop.mcap -o x.svg", 1, ("x.svg", "File too large"), "make room", (session(),)),
     Row("an attachment", "extract stop.mcap config.toml -o c.toml", 1, ("c.toml", "File too large"), "make room",
         (session(),)),
