@@ -178,10 +178,11 @@ def run_stop(board: str = "sim:", controller: str | type[Controller] | None = No
 def open_session(path: str | Path) -> Session:
     """The session at `path`, by its index: ticks are read, and checked, as they are used; `validate` checks all.
 
+    An address such as "https://lab.example/stop.mcap" is read in parts, with the extra `remote`.
     `session[10.0:11.0]` reads one second, `session.blocks()` goes through a long session in little memory. A cut file
     is read as far as it goes, with the reason in `incomplete`. Raises SessionError.
     """
-    found = sessions.open_session(Path(path))
+    found = sessions.open_session(sessions.session_path(path))
     return Session(*(getattr(found, each.name) for each in fields(found)))
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from inteco_abs.cli.options import DIFFERS, FILE, LOSSES, Finite, json_option
+from inteco_abs.cli.options import DIFFERS, LOSSES, SESSION, Finite, json_option
 from inteco_abs.cli.session_files import read_whole
 from inteco_abs.cli.terminal import plain, print_json, say
 from inteco_abs.errors import ConfigError, ConfigIssue, near_match
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("a", type=FILE)
-@click.argument("b", type=FILE)
+@click.argument("a", type=SESSION)
+@click.argument("b", type=SESSION)
 @click.option("--only", multiple=True, metavar="SECTION", help="Compare this section only; may be repeated.")
 @click.option(
     "--rel", type=Finite(0, 1), default=0.0, help="Relative difference of metrics and signals that counts as equal."

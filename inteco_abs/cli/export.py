@@ -7,7 +7,7 @@ from typing import Final
 
 import click
 
-from inteco_abs.cli.options import FILE, LOSSES, json_option
+from inteco_abs.cli.options import FILE, LOSSES, SESSION, json_option
 from inteco_abs.cli.session_files import report_losses
 from inteco_abs.cli.terminal import print_json, say
 from inteco_abs.errors import ConfigError
@@ -16,7 +16,7 @@ _FORMATS: Final = ("csv", "npz", "mat", "parquet")
 
 
 @click.command()
-@click.argument("file", type=FILE)
+@click.argument("file", type=SESSION)
 @click.option(
     "--format",
     "form",
@@ -49,10 +49,12 @@ def export(file: Path, form: str | None, out: Path | None, as_json: bool) -> int
 
 def _form_and_out(file: Path, form: str | None, out: Path | None) -> tuple[str, Path]:
     """Each follows from the other, and they must agree: programs open a file by its suffix."""
+    from inteco_abs.sessions import is_local
+
     if out is None:
         if form is None:
             raise ConfigError.of("--format", f"missing: name {', '.join(_FORMATS)}, or an --out that ends so")
-        return form, file.with_suffix(f".{form}")
+        return form, (file if is_local(file) else Path(file.name)).with_suffix(f".{form}")
     ending = out.suffix.removeprefix(".")
     wanted = _FORMATS if form is None else (form,)
     if ending not in wanted:

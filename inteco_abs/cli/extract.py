@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from inteco_abs.cli.options import FILE, LOSSES, json_option
+from inteco_abs.cli.options import FILE, LOSSES, SESSION, json_option
 from inteco_abs.cli.session_files import read_whole
 from inteco_abs.cli.terminal import on_terminal, plain, print_json, say
 from inteco_abs.errors import ConfigError
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("file", type=FILE)
+@click.argument("file", type=SESSION)
 @click.argument("name", required=False)
 @click.option("--out", "-o", type=FILE, help="File or folder to write to; default: standard output.")
 @json_option

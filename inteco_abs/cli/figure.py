@@ -6,12 +6,12 @@ from pathlib import Path
 
 import click
 
-from inteco_abs.cli.options import FILE, LOSSES
+from inteco_abs.cli.options import FILE, LOSSES, SESSION
 from inteco_abs.cli.session_files import draw
 
 
 @click.command()
-@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=FILE)
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=SESSION)
 @click.option("--out", "-o", type=FILE, required=True, help="Figure to write: .png, .svg or .pdf.")
 @click.option(
     "--width",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from inteco_abs.cli.options import FILE, LOSSES, json_option
+from inteco_abs.cli.options import LOSSES, SESSION, json_option
 from inteco_abs.cli.session_files import read_whole
 from inteco_abs.cli.terminal import plain, print_json, say, show
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("file", type=FILE)
+@click.argument("file", type=SESSION)
 @click.option("--all", "everything", is_flag=True, help="Also print every record of the session.")
 @json_option
 def info(file: Path, everything: bool, as_json: bool) -> int:

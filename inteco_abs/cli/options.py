@@ -36,7 +36,19 @@ class _File(click.Path):
         return super().convert(value, param, ctx)
 
 
+class _SessionFile(_File):
+    """A path, or an address that the extra `remote` reads."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if isinstance(value, str) and "://" in value:
+            from inteco_abs.sessions import session_path
+
+            return session_path(value)
+        return super().convert(value, param, ctx)
+
+
 FILE: Final = _File(path_type=Path, readable=False)
+SESSION: Final = _SessionFile(path_type=Path, readable=False)
 _LONGEST_LINE: Final = 60
 """Characters of a verb's help line in a list."""
 _LIVE_PORT: Final = 8765

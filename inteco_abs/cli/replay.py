@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from inteco_abs.cli.options import DIFFERS, FILE, LOSSES, json_option, known_controllers
+from inteco_abs.cli.options import DIFFERS, LOSSES, SESSION, json_option, known_controllers
 from inteco_abs.cli.session_files import read_whole
 from inteco_abs.cli.terminal import print_json, say
 from inteco_abs.errors import ConfigError, describe_error, near_match
@@ -24,7 +24,7 @@ RECORDED: Final = "recorded"
 
 
 @click.command()
-@click.argument("file", type=FILE)
+@click.argument("file", type=SESSION)
 @click.option(
     "--controller",
     help="Your own controller as file.py:Class, if the session was run with one; `recorded` runs the code that the "

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from inteco_abs.cli.options import FILE, LOSSES, json_option
+from inteco_abs.cli.options import LOSSES, SESSION, json_option
 from inteco_abs.cli.terminal import plain, print_json, say
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ _WORST_FIRST: Final = ("wrong", "losses", "well")
 
 
 @click.command()
-@click.argument("files", type=FILE, nargs=-1, required=True, metavar="FILE...")
+@click.argument("files", type=SESSION, nargs=-1, required=True, metavar="FILE...")
 @json_option
 def validate(files: tuple[Path, ...], as_json: bool) -> int:
     """Check sessions byte by byte.

@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from inteco_abs.cli.options import FILE, LOSSES, Finite, RunOptions, json_option, known_controllers, run_options
+from inteco_abs.cli.options import (
+    FILE,
+    LOSSES,
+    SESSION,
+    Finite,
+    RunOptions,
+    json_option,
+    known_controllers,
+    run_options,
+)
 from inteco_abs.cli.replay import RECORDED, controllers_for
 from inteco_abs.cli.session_files import read_whole
 from inteco_abs.cli.terminal import print_json, say, show
@@ -32,7 +41,7 @@ _METRICS: Final = (
 
 
 @click.command("what-if")
-@click.argument("file", type=FILE)
+@click.argument("file", type=SESSION)
 @run_options(
     settings="Override a key of the session, as in controller.gains.Mk=5: of controller, estimator or model.",
     controller="Another of `inteco-abs controllers`, or your own as file.py:Class; `recorded` runs the code that the "

@@ -31,6 +31,7 @@ from inteco_abs.sessions.files import (
 )
 from inteco_abs.sessions.fingerprint import describe_other_arithmetic, other_arithmetic
 from inteco_abs.sessions.frames import Frames, read_frames
+from inteco_abs.sessions.locations import is_local, session_path
 from inteco_abs.sessions.metrics import LOCKED_SLIP, LOWEST_RAD_S, STANDSTILL_RAD_S, Array, StopTrace, stop_metrics
 from inteco_abs.sessions.migration import Metadata, newer
 from inteco_abs.sessions.provenance import host_facts, profile_source, software_facts
@@ -101,6 +102,7 @@ __all__ = [
     "export_session",
     "extract",
     "host_facts",
+    "is_local",
     "is_session_file",
     "joined",
     "joined_rows",
@@ -124,6 +126,7 @@ __all__ = [
     "result_channel",
     "row_channel",
     "session_config",
+    "session_path",
     "software_facts",
     "spill_path",
     "stop_metrics",

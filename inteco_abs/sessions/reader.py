@@ -46,6 +46,7 @@ from inteco_abs.sessions.content import (
     event,
     parameters,
 )
+from inteco_abs.sessions.locations import is_local, opened_for_reading
 from inteco_abs.sessions.migration import Metadata, UnsupportedError, migrated
 from inteco_abs.sessions.rows import (
     BLOCK_TICKS,
@@ -396,13 +397,15 @@ def regular_file(path: Path) -> Iterator[tuple[BinaryIO, int]]:
         if path.exists() and not path.is_file():
             what = f" but a folder, which inteco-abs list {path} shows" if path.is_dir() else ""
             raise SessionError(f"{path}: cannot be read: it is not a regular file{what}")
-        with path.open("rb") as file:
-            yield file, os.fstat(file.fileno()).st_size
+        with opened_for_reading(path) as file:
+            size = file.seek(0, os.SEEK_END)
+            file.seek(0)
+            yield file, size
     except OSError as error:
         hint = ""
-        if isinstance(error, FileNotFoundError):
+        if isinstance(error, FileNotFoundError) and is_local(path):
             hint = near_file(path) or f"; inteco-abs list {path.parent} shows the sessions there"
-        raise SessionError(f"{path}: cannot be read: {error.strerror}{hint}") from error
+        raise SessionError(f"{path}: cannot be read: {error.strerror or error}{hint}") from error
 
 
 def _chunks(file: BinaryIO, size: int, content: Content) -> Iterator[tuple[Entry, dict[str, Batch]]]:

@@ -25,6 +25,7 @@ from inteco_abs.sessions.container import (
     unpack_chunk,
 )
 from inteco_abs.sessions.content import FLAT, Batch, Content
+from inteco_abs.sessions.locations import opened_for_reading
 from inteco_abs.signals import Phase
 
 BLOCK_TICKS: Final = 1 << 16
@@ -149,7 +150,7 @@ class Chunks:
         places = self.places if places is None else places
         wanted = places[(places["topics"] & sum(_BITS[topic] for topic in topics)) != 0]
         try:
-            with self.path.open("rb", buffering=0) as file:
+            with opened_for_reading(self.path) as file:
                 if _state(file) != self._state:
                     raise SessionError(f"{self.path}: has changed since it was opened; open it again")
                 for _, _, start, size, _ in wanted.tolist():
@@ -337,6 +338,10 @@ def damaged(path: Path, error: DamagedError) -> SessionError:
     return SessionError(f"{path}: is damaged: {error}; inteco-abs recover saves the intact ticks")
 
 
-def _state(file: BinaryIO) -> tuple[int, int, int, int]:
-    found = os.fstat(file.fileno())
+def _state(file: BinaryIO) -> tuple[int, ...]:
+    """What changes with the file's content, as far as that is known without reading it."""
+    try:
+        found = os.fstat(file.fileno())
+    except OSError:  # at an address
+        return (file.seek(0, os.SEEK_END),)
     return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
