@@ -14,26 +14,37 @@ from inteco_abs.cli.terminal import on_terminal, say
 if TYPE_CHECKING:
     from inteco_abs.config import RigConfig
     from inteco_abs.realtime import Screen
+    from inteco_abs.views.dashboard import Dashboard
 
 
 @contextmanager
 def screen_of(config: RigConfig, choice: str | None, *, virtual: bool, quiet: bool) -> Iterator[Screen]:
     """Dashboard on a terminal's stderr; elsewhere, or if not wanted, one line when a run in real time begins."""
-    if quiet or choice == "none" or not on_terminal(sys.stderr) or os.environ.get("TERM") == "dumb":
+    if quiet or not dashboard_wanted(choice):
         from inteco_abs.realtime import Lines
 
         stops = partial(say, "running in real time; Ctrl-C stops safely", err=True)
         begun = (lambda: None) if quiet or virtual else stops
         yield Lines(lambda text: say(f"inteco-abs: {text}", err=True), noting=not quiet, begun=begun)
         return
+    with dashboard_of(config, choice, virtual=virtual) as dashboard:
+        yield dashboard
+
+
+def dashboard_wanted(choice: str | None) -> bool:
+    """Whether there is a terminal for a dashboard, unless the user wants none."""
+    return choice != "none" and on_terminal(sys.stderr) and os.environ.get("TERM") != "dumb"
+
+
+def dashboard_of(config: RigConfig, choice: str | None, *, virtual: bool = False, playback: bool = False) -> Dashboard:
+    """The dashboard on stderr."""
     from rich.console import Console
 
     from inteco_abs.views.dashboard import Dashboard
 
     line = choice == "line" or (choice is None and not on_terminal(sys.stdout))
     console, plain = Console(stderr=True, highlight=False), ascii_wanted()
-    with Dashboard(console, config, virtual=virtual, line=line, plain=plain) as dashboard:
-        yield dashboard
+    return Dashboard(console, config, virtual=virtual, line=line, plain=plain, playback=playback)
 
 
 def ascii_wanted() -> bool:

@@ -17,7 +17,18 @@ from inteco_abs.realtime.memory import (
 )
 from inteco_abs.realtime.ring import RingReader, TickRing, ring_bytes
 from inteco_abs.realtime.round_trips import Quantiles, quantiles
-from inteco_abs.realtime.screen import Lines, NoScreen, Point, SafeScreen, Screen, Snapshot, SnapshotSource, StartCheck
+from inteco_abs.realtime.screen import (
+    POINTS_PER_S,
+    Lines,
+    NoScreen,
+    Point,
+    SafeScreen,
+    Screen,
+    Snapshot,
+    SnapshotSource,
+    StartCheck,
+    snapshot_of,
+)
 from inteco_abs.realtime.signal_handlers import handle_signals
 from inteco_abs.realtime.tuning import (
     BOARD_PRIORITY,
@@ -41,6 +52,7 @@ __all__ = [
     "FOLDER",
     "GUARDIAN_PRIORITY",
     "LOOP_PRIORITY",
+    "POINTS_PER_S",
     "Beat",
     "Clock",
     "Core",
@@ -84,4 +96,5 @@ __all__ = [
     "require_room",
     "ring_bytes",
     "run_bytes",
+    "snapshot_of",
 ]

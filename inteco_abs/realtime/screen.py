@@ -6,14 +6,14 @@ import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from enum import Enum
-from typing import Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 from inteco_abs.format import TICK
 from inteco_abs.realtime.histogram import Histogram
 from inteco_abs.realtime.ring import RingReader
 from inteco_abs.signals import Phase
 
-_POINTS_PER_S: Final = 200
+POINTS_PER_S: Final = 200
 """More than a terminal has dots for a second."""
 
 
@@ -167,7 +167,7 @@ class SnapshotSource:
 
     def __init__(self, ticks: RingReader, histogram: Histogram, rate_hz: float) -> None:
         self._ticks, self._histogram = ticks, histogram
-        self._step = max(1, round(rate_hz / _POINTS_PER_S))
+        self._step = max(1, round(rate_hz / POINTS_PER_S))
         self._next = 0
         self._first_ns = 0
 
@@ -177,17 +177,20 @@ class SnapshotSource:
         if record is None:
             return None
         tick = TICK.array(record)[0]
-        now_ns = int(tick["time_ns"])
-        wheel, road, slip, drive, brake = (
-            float(tick[name]) for name in ("wheel_speed_rad_s", "road_speed_rad_s", "slip", "drive", "brake")
-        )
-        recent = self._recent()
+        recent, now_ns = self._recent(), int(tick["time_ns"])
         self._first_ns = self._first_ns or (recent[0].time_ns if recent else now_ns)
-        phase, time_s, histogram = Phase(int(tick["phase"])), (now_ns - self._first_ns) * 1e-9, self._histogram
-        late_us = (*histogram.quantiles_us((0.5, 0.99, 0.999)), histogram.greatest_us)
-        state = (wheel, road, slip, drive, brake)
-        return Snapshot(phase, self._ticks.written, time_s, *state, histogram.skipped, late_us, recent)
+        return snapshot_of(tick, self._ticks.written, (now_ns - self._first_ns) * 1e-9, self._histogram, recent)
 
     def _recent(self) -> tuple[Point, ...]:
         records, self._next = self._ticks.sample(self._next, self._step)
         return tuple(Point(*values) for values in TICK.values(records, Point._fields))
+
+
+def snapshot_of(tick: Any, ticks: int, time_s: float, histogram: Histogram, recent: tuple[Point, ...]) -> Snapshot:
+    """The snapshot at a row `tick`, which is `ticks` ticks and `time_s` seconds after the first."""
+    wheel, road, slip, drive, brake = (
+        float(tick[name]) for name in ("wheel_speed_rad_s", "road_speed_rad_s", "slip", "drive", "brake")
+    )
+    state = (wheel, road, slip, drive, brake)
+    late_us = (*histogram.quantiles_us((0.5, 0.99, 0.999)), histogram.greatest_us)
+    return Snapshot(Phase(int(tick["phase"])), ticks, time_s, *state, histogram.skipped, late_us, recent)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from types import TracebackType
 from typing import Final, NamedTuple, Self
 
@@ -21,7 +21,7 @@ from rich.text import Text
 from inteco_abs.config import RigConfig
 from inteco_abs.realtime import Snapshot, StartCheck
 from inteco_abs.signals import Phase
-from inteco_abs.views.keys import stop_keys
+from inteco_abs.views.keys import pressed_keys, stop_keys
 from inteco_abs.views.plot import Curve, PlotAxes, plot
 from inteco_abs.views.text_lines import Line, TextLines, apart, length, padded
 from inteco_abs.views.trace import RunTrace
@@ -60,12 +60,24 @@ _ASCII: Final = _Signs("x", ">", ".", "#", ".", "-", "", "")
 
 
 class Dashboard:
-    """Shows a run on a terminal in place; in one line on a small terminal or with `line`. A context manager."""
+    """Shows a run on a terminal in place; in one line on a small terminal or with `line`. A context manager.
+
+    With `playback`, it shows a session that `rewind` and `describe` control.
+    """
 
     def __init__(
-        self, console: Console, config: RigConfig, *, virtual: bool = False, line: bool = False, plain: bool = False
+        self,
+        console: Console,
+        config: RigConfig,
+        *,
+        virtual: bool = False,
+        line: bool = False,
+        plain: bool = False,
+        playback: bool = False,
     ) -> None:
         self._console = console
+        self._playback = playback
+        self._state = "virtual time " if virtual else ""
         self._plain = plain or console.options.ascii_only
         self._config = config
         self._virtual = virtual
@@ -73,7 +85,7 @@ class Dashboard:
         self._trace = RunTrace(config.experiment.start_speed_rad_s)
         self._passed: dict[StartCheck, str] = {}
         self._snapshot: Snapshot | None = None
-        self._hint = CTRL_C
+        self._hint = "" if playback else CTRL_C
         self._size = console.size
         # without a refresh thread: it draws only when it is called
         self._live = Live(console=console, auto_refresh=False)
@@ -100,6 +112,10 @@ class Dashboard:
             self._hint = KEYS if can else CTRL_C
             yield
 
+    def keys(self, handle: Callable[[bytes], None]) -> AbstractContextManager[bool]:
+        """Let keys reach `handle`, if the program has the keyboard; yields whether it has."""
+        return pressed_keys(handle, _stdin())
+
     @property
     def in_line(self) -> bool:
         """Whether only one line is drawn."""
@@ -118,6 +134,15 @@ class Dashboard:
         if snapshot.phase in _AT_REST:
             self._passed.setdefault(StartCheck.REST, "")
         self._draw()
+
+    def rewind(self, stops: int) -> None:
+        """Begin new traces, after so many stops."""
+        self._trace = RunTrace(self._config.experiment.start_speed_rad_s)
+        self._trace.stop = stops
+
+    def describe(self, state: str, hint: str) -> None:
+        """Show the state of a playback beside the time, and its keys below."""
+        self._state, self._hint = f"{state} ", hint
 
     def note(self, text: str) -> None:
         """Print a note above the live part."""
@@ -143,6 +168,8 @@ class Dashboard:
         return next((check for check in self._checks() if check not in self._passed), None)
 
     def _checks(self) -> list[StartCheck]:
+        if self._playback:
+            return []
         return [check for check in StartCheck if not (self._virtual and check is StartCheck.GUARDIAN)]
 
     def lines(self) -> list[Line]:
@@ -168,8 +195,9 @@ class Dashboard:
         if config.experiment.stops > 1:
             name.append((f"stop {max(self._trace.stop, 1)} of {config.experiment.stops} ", ""))
         state = f" {shot.time_s:.1f} s, {shot.ticks} ticks " if shot else " starting "
-        kind = "virtual time " if self._virtual else ""
-        right: Line = [(f"{state}{kind}", ""), (signs.rule * 2, "dim")]
+        if self._playback and shot:
+            state = f" {shot.time_s:.1f} "
+        right: Line = [(f"{state}{self._state}", ""), (signs.rule * 2, "dim")]
         return [*name, (signs.rule * max(1, width - length(name) - length(right)), "dim"), *right]
 
     def _phases(self, signs: _Signs) -> Line:
@@ -291,7 +319,8 @@ class Dashboard:
 
     def _end(self, width: int, signs: _Signs) -> Line:
         if self._hint:
-            return apart([(f" {self._hint}", "bold")], [("only the emergency switch cuts the power ", "dim")], width)
+            warning = "" if self._playback else "only the emergency switch cuts the power "
+            return apart([(f" {self._hint}", "bold")], [(warning, "dim")], width)
         return [(signs.rule * width, "dim")]
 
 

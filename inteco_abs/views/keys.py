@@ -1,4 +1,4 @@
-"""Keys that stop a run without Enter: space and q, beside Ctrl-C."""
+"""Keys that act without Enter, such as space and q, which stop a run beside Ctrl-C."""
 
 from __future__ import annotations
 
@@ -18,7 +18,19 @@ _PAUSE_S: Final = 0.2
 
 @contextmanager
 def stop_keys(stop: Callable[[], None], terminal: int = 0) -> Iterator[bool]:
-    """Let these keys on `terminal`, a file descriptor, call `stop` from a thread; yields whether they can.
+    """Let `STOPPING` keys call `stop`, as `pressed_keys`."""
+
+    def handle(keys: bytes) -> None:
+        if not STOPPING.isdisjoint(keys):
+            stop()
+
+    with pressed_keys(handle, terminal) as can:
+        yield can
+
+
+@contextmanager
+def pressed_keys(handle: Callable[[bytes], None], terminal: int = 0) -> Iterator[bool]:
+    """Let keys on `terminal`, a file descriptor, reach `handle` from a thread; yields whether they can.
 
     They cannot if it is not a terminal, or if the program runs in the background. Leaving restores the terminal's
     settings and drops unread keys. A program that continues after a stop (SIGCONT) sets the terminal up again.
@@ -30,7 +42,7 @@ def stop_keys(stop: Callable[[], None], terminal: int = 0) -> Iterator[bool]:
         yield False
         return
     leave, leaving = os.pipe()
-    reader = threading.Thread(target=_read, args=(terminal, leave, stop), name="keys", daemon=True)
+    reader = threading.Thread(target=_read, args=(terminal, leave, handle), name="keys", daemon=True)
     with keyboard.taken_again():
         reader.start()
         try:
@@ -44,7 +56,7 @@ def stop_keys(stop: Callable[[], None], terminal: int = 0) -> Iterator[bool]:
             os.close(leaving)
 
 
-def _read(terminal: int, leave: int, stop: Callable[[], None]) -> None:
+def _read(terminal: int, leave: int, handle: Callable[[bytes], None]) -> None:
     """Read keys until `leave` can be read or the terminal is gone."""
     while True:
         with suppress(InterruptedError):
@@ -60,8 +72,7 @@ def _read(terminal: int, leave: int, stop: Callable[[], None]) -> None:
                 return
             if not keys:
                 return
-            if not STOPPING.isdisjoint(keys):
-                stop()
+            handle(keys)
 
 
 def _in_front(terminal: int) -> bool:
