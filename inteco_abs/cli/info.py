@@ -97,6 +97,12 @@ def _first_facts(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     yield "rig", f"{place}, {time}"
     if faults := metadata.get("injected"):
         yield "injected", ", ".join(f"{fault} acted {times} times" for fault, times in faults.items())
+    described = metadata.get("description", {})
+    for key in ("purpose", "note", "tags", "licence"):
+        if described.get(key):
+            yield key, described[key]
+    if who := joined("description", "operator", "orcid", "institution"):
+        yield "operator", who
     yield "software", f"inteco-abs {joined('software', 'version')} {commit}, Python {joined('software', 'python')}"
     yield "host", joined("host", "hostname", "os", "kernel") or "-"
     yield "files", ", ".join(summary["attachments"]) or "none"

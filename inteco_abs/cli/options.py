@@ -170,12 +170,20 @@ class RunOptions:
     live_port: int | None = None
     live: str | None = None
     quiet: bool = False
+    purpose: str | None = None
+    note: str | None = None
+    tags: tuple[str, ...] = ()
+    operator: str | None = None
 
     @property
     def chosen(self) -> tuple[str, ...]:
-        """Controller and estimator as settings."""
+        """Controller, estimator and description as settings."""
         names = {"controller": self.controller, "estimator": self.estimator}
-        return tuple(f"{key}.name={name}" for key, name in names.items() if name)
+        words = {"purpose": self.purpose, "note": self.note, "tags": [*self.tags] or None, "operator": self.operator}
+        return (
+            *(f"{key}.name={name}" for key, name in names.items() if name),
+            *(f"description.{key}={json.dumps(value)}" for key, value in words.items() if value is not None),
+        )
 
     def load(
         self, *more: str, checks: Sequence[Check] = (), follows: Callable[[Table], Table] | None = None
@@ -244,6 +252,10 @@ _OPTIONS: Final = {
     "live": _option("--live", type=click.Choice(("full", "line", "none")),
                     help="Display during the run; default: as much as the terminal has room for."),
     "quiet": _option("--quiet", "-q", is_flag=True, help="Print errors and warnings only."),
+    "purpose": _option("--purpose", metavar="TEXT", help="Why the run is made; kept in the session."),
+    "note": _option("--note", metavar="TEXT", help="Anything that a reader should know; kept in the session."),
+    "tags": _option("--tag", multiple=True, metavar="WORD", help="A word by which `list` finds the session."),
+    "operator": _option("--operator", metavar="NAME", help="Who runs it; kept in the session."),
 }  # fmt: skip
 """Options by field of RunOptions: the names, and arguments for click."""
 

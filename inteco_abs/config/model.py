@@ -5,6 +5,7 @@ The module is cheap to import for the processes of a run; `validation` checks TO
 
 from __future__ import annotations
 
+import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, field, fields
 from datetime import date
@@ -372,6 +373,33 @@ class SessionConfig(Section):
     memory, from where you recover it."""
 
 
+_Words = Annotated[str, MinLen(1), MaxLen(2000)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DescriptionConfig(Section):
+    """What a run was for, and whose it is; the session keeps it, and `inteco-abs annotate` changes it afterwards."""
+
+    purpose: _Words | None = None
+    """Why the run was made."""
+    note: _Words | None = None
+    """Anything that a reader should know of it."""
+    tags: Annotated[list[Annotated[str, MinLen(1), MaxLen(64)]], MaxLen(32)] | None = None
+    """Words by which it is found."""
+    operator: _Words | None = None
+    """Name of who ran it."""
+    orcid: Annotated[str, MaxLen(19)] | None = None
+    """The operator's ORCID iD, as 0000-0002-1825-0097."""
+    institution: _Words | None = None
+    """Name of the laboratory."""
+    licence: _Words | None = None
+    """Licence of the data, best by its SPDX name, as CC-BY-4.0."""
+
+    def facts(self) -> dict[str, str]:
+        """Keys and values as metadata of a session: tags as JSON, keys without a value left out."""
+        return {key: value if isinstance(value, str) else json.dumps(value) for key, value in self.as_table().items()}
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulationConfig(Section):
     """The rig inside the mock board; not used on a real one."""
@@ -422,6 +450,7 @@ class RigConfig(Section):
     controller: ControllerConfig = ControllerConfig()
     guard: GuardConfig = GuardConfig()
     session: SessionConfig = SessionConfig()
+    description: DescriptionConfig = DescriptionConfig()
     simulation: SimulationConfig = SimulationConfig()
 
     @property

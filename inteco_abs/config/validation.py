@@ -112,12 +112,26 @@ def _contradictions(table: Table, wrong: Collection[str]) -> Iterator[ConfigIssu
             yield ConfigIssue(
                 "board.verified_by", f"a sign-off needs {wanted} too: the day, and the logic it was made for"
             )
+    yield from _orcid_mistakes(section_of(table, "description").get("orcid"))
     yield from _brake_map_mistakes(section_of(section_of(table, "model"), "identified"))
     for pair in _PAIRS:
         if not {pair.first, pair.second, pair.first.partition(".")[0], pair.second.partition(".")[0]} & set(wrong):
             first, second = value(pair.first), value(pair.second)
             if not pair.fits(first, second):
                 yield ConfigIssue(pair.first, f"{first!r}: {pair.must} {pair.second} = {second!r}")
+
+
+def _orcid_mistakes(orcid: Any) -> Iterator[ConfigIssue]:
+    """An ORCID iD ends in a check digit, ISO 7064 MOD 11-2 (support.orcid.org, "Structure of the ORCID identifier")."""
+    if not isinstance(orcid, str):
+        return
+    digits = orcid.replace("-", "")
+    total = 0
+    if _ORCID.fullmatch(orcid):
+        for digit in digits[:-1]:
+            total = 2 * (total + int(digit))
+    if not _ORCID.fullmatch(orcid) or "0123456789X"[(12 - total % 11) % 11] != digits[-1]:
+        yield ConfigIssue("description.orcid", f"{orcid!r}: is no ORCID iD; one looks like 0000-0002-1825-0097")
 
 
 def _brake_map_mistakes(identified: Table) -> Iterator[ConfigIssue]:
@@ -136,6 +150,7 @@ def _brake_map_mistakes(identified: Table) -> Iterator[ConfigIssue]:
             yield ConfigIssue(f"model.identified.{key}", f"{shortened(values)}: must rise from value to value")
 
 
+_ORCID: Final = re.compile(r"([0-9]{4}-){3}[0-9]{3}[0-9X]")
 _CEILINGS: Final = {"guard.over_speed_rad_s": "the rig's own limit, which no configuration can raise"}
 _NUMBER: Final = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?", re.IGNORECASE)
 _NUMERIC: Final = ("int_", "float_", "finite_")

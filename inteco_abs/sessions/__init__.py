@@ -1,6 +1,7 @@
 """Session files: writing, reading, validation, export and recovery."""
 
 from inteco_abs.format import TICK, TRUTH, pack_tick
+from inteco_abs.sessions.annotation import DESCRIPTION, HISTORY, annotate
 from inteco_abs.sessions.attachments import attached, extract
 from inteco_abs.sessions.card import aligned_truth, card_of, link_errors, result_card, stored_card
 from inteco_abs.sessions.channels import (
@@ -55,8 +56,10 @@ __all__ = [
     "CONFIG_NAME",
     "CONTROLLER_FILES",
     "CONTROLLER_SOURCE",
+    "DESCRIPTION",
     "EXIT_CODES",
     "FORMATS",
+    "HISTORY",
     "LOCKED_SLIP",
     "LOSSES",
     "LOWEST_RAD_S",
@@ -89,6 +92,7 @@ __all__ = [
     "StopTrace",
     "Table",
     "aligned_truth",
+    "annotate",
     "atomic_write",
     "attached",
     "card_of",

@@ -7,14 +7,25 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Mapping
-from typing import BinaryIO, Final, NamedTuple
+from collections.abc import Iterable, Mapping
+from io import BytesIO
+from typing import BinaryIO, Final, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 import zstandard
 
-from inteco_abs.sessions.container import BY_CHANNEL, MAGIC, MESSAGE_HEAD, Opcode, message_dtype, record
+from inteco_abs.sessions.container import (
+    BY_CHANNEL,
+    HEAD,
+    MAGIC,
+    MESSAGE_HEAD,
+    Entry,
+    Opcode,
+    fields,
+    message_dtype,
+    record,
+)
 
 _MESSAGE: Final = struct.Struct("<BQHIQQ")
 """A message before its data: type, length, channel, sequence, log and publish time."""
@@ -65,6 +76,24 @@ class McapWriter:
         self._summary = {group: bytearray() for group in _GROUPS}
         self._write(MAGIC)
         self._write(record(Opcode.HEADER, "", library))
+
+    @classmethod
+    def continued(cls, file: BinaryIO, at: int, crc: int, summary: Iterable[Entry]) -> Self:
+        """A writer that goes on at `at`, before the end of the data of a complete file with this `summary`.
+
+        `crc` is the checksum of the file up to there. Raises DamagedError.
+        """
+        writer = cls(BytesIO(), "")
+        writer._file, writer._at, writer._crc = file, at, crc
+        for entry in summary:
+            if entry.opcode == Opcode.STATISTICS:
+                *_, first_ns, last_ns, messages = fields(entry.opcode, entry.data)
+                writer._messages = dict(BY_CHANNEL.iter_unpack(messages))
+                writer._whole_span_ns = (first_ns, last_ns) if writer._messages else _NEVER
+            elif entry.opcode in _GROUPS:
+                writer._numbers[Opcode(entry.opcode)] += 1
+                writer._summary[Opcode(entry.opcode)] += HEAD.pack(entry.opcode, len(entry.data)) + entry.data
+        return writer
 
     def add_schema(self, name: str, descriptor: bytes) -> int:
         """Declare a protobuf schema by its file descriptor set; return its number."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
-from typing import BinaryIO, Final, Self, TypeVar, overload
+from typing import BinaryIO, Final, NamedTuple, Self, TypeVar, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -286,7 +286,7 @@ def read_metadata(path: Path) -> Metadata:
     """
     content = Content()
     with opened(path) as (file, size):
-        _take_listed(file, size, content, chunk_parts(_summary(file, size)), (Opcode.METADATA_INDEX,))
+        _take_listed(file, size, content, chunk_parts(summary_of(file, size).records), (Opcode.METADATA_INDEX,))
     return migrated(content.metadata)
 
 
@@ -311,7 +311,7 @@ def _indexed(path: Path, file: BinaryIO, size: int) -> Session:
     content = Content(budget=DecompressionBudget(size))
     for header in islice(RecordFile(file, size), 1):
         content.take(header)
-    others, listed = chunk_index(_summary(file, size))
+    others, listed = chunk_index(summary_of(file, size).records)
     numbers = dict.fromkeys((*FLAT, LOG_TOPIC, PARAMETERS_TOPIC, IO_TOPIC), 0)
     for entry in others:
         if entry.opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
@@ -334,7 +334,15 @@ def _indexed(path: Path, file: BinaryIO, size: int) -> Session:
     return _session(path, content, rows, log, in_force)
 
 
-def _summary(file: BinaryIO, size: int) -> bytes:
+class Summary(NamedTuple):
+    """The index at the end of a file."""
+
+    start: int
+    """Its offset, behind the record that ends the data."""
+    records: bytes
+
+
+def summary_of(file: BinaryIO, size: int) -> Summary:
     """The records between the data and the footer. Raises DamagedError."""
     if size < _TAIL:
         raise DamagedError("there is no index")
@@ -350,7 +358,7 @@ def _summary(file: BinaryIO, size: int) -> bytes:
     summary = file.read(end - start)
     if crc != zlib.crc32(tail[: HEAD.size + _FOOTER.size - 4], zlib.crc32(summary)):
         raise DamagedError("the index fails its checksum")
-    return summary
+    return Summary(start, summary)
 
 
 @contextmanager

@@ -134,6 +134,8 @@ class SessionWriter:
                 "virtual_time": str(header.virtual).lower(),
             },
         )
+        if description := config.description.facts():
+            recorder.describe("description", description)
         source = unpacked(header.controller_source).source
         digest = hashlib.sha256(source).hexdigest() if source else ""
         recorder.describe("controller", controller_facts(config, header.gains, digest, header.controller_package))
