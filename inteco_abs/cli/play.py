@@ -53,23 +53,25 @@ def play(file: Path, speed: float, from_s: float, live_port: int | None, live: s
     session = read_whole(file, open_session)
     _require_place(session, from_s)
     config = session_config(session, ())
+    player = Player(session, config, Playback(session.duration_s, from_s=from_s, speed=speed))
     with ExitStack() as stack:
         server = None
         if live_port is not None:
             session_id = session.metadata.get("session", {}).get("session_id", "")
-            server = FoxgloveServer(live_port, session_id, session_channels(session), clock=True)
+            server = FoxgloveServer(live_port, session_id, session_channels(session), playback=player.controls)
             stack.callback(server.close)
             say(f"inteco-abs: open the connection {address(server.port)} in Lichtblick or Foxglove", err=True)
         virtual = session.metadata.get("rig", {}).get("virtual_time") == "true"
         screen = dashboard_of(config, live, virtual=virtual, playback=True) if shown else None
-        dashboard = stack.enter_context(screen) if screen else None
-        playback = Playback(session.duration_s, from_s=from_s, speed=speed)
-        Player(session, config, playback, dashboard, server).play()
+        player.play(stack.enter_context(screen) if screen else None, server)
     return LOSSES if session.incomplete or session.unsupported else 0
 
 
 def _require_place(session: Session, from_s: float) -> None:
     if not session.tick_count:
         raise SessionError(f"{session.path}: has no ticks")
+    if session.duration_s < 0.0:
+        problem = f"its last tick is {-session.duration_s:g} s before its first; inteco-abs validate shows where"
+        raise SessionError(f"{session.path}: cannot be played: {problem}")
     if from_s > session.duration_s:
         raise ConfigError.of("--from", f"{from_s:g} s: the session has {session.duration_s:g} s; begin within them")

@@ -42,8 +42,12 @@ _CLOCK: Final = struct.Struct("<BQ")
 """Type, time in ns."""
 _CALL: Final = struct.Struct("<BIII")
 """Type, service, call, length of the encoding's name, which follows, and then the request or response."""
-_MESSAGE_DATA, _TIME, _RESPONSE = 1, 2, 3
-_REQUEST: Final = 2
+_CONTROL: Final = struct.Struct("<BBfBQI")
+"""Type, 1 to pause, speed, 1 to seek, to a time in ns, length of the request's name, which follows."""
+_STATE: Final = struct.Struct("<BBQfBI")
+"""Type, status, time in ns, speed, 1 after seeking, length of the request's name, which follows."""
+_MESSAGE_DATA, _TIME, _RESPONSE, _PLAYBACK_STATE = 1, 2, 3, 5
+_REQUEST, _CONTROL_REQUEST = 2, 3
 _JSON: Final = b"json"
 _TEXT, _BINARY = 1, 2
 _HANDSHAKE_S: Final = 5.0
@@ -76,6 +80,27 @@ class Service(NamedTuple):
     """Raises ValueError, with the reason, if it refuses."""
 
 
+class PlaybackState(NamedTuple):
+    """What a viewer's playback controls show."""
+
+    status: int
+    """0 playing, 1 paused, 3 ended."""
+    time_ns: int
+    """UNIX time."""
+    speed: float
+    """Times real time."""
+
+
+class PlaybackControl(NamedTuple):
+    """What viewers may do with a playback; times are UNIX times in ns."""
+
+    begin_ns: int
+    end_ns: int
+    state: Callable[[], PlaybackState]
+    control: Callable[[bool, float, int | None], None]
+    """Pause or not, speed, and where to seek, if anywhere. Called with all that a stranger may send."""
+
+
 def require_foxglove(port: int) -> None:
     """Raise AbsError if websockets is not installed, or the port is taken."""
     if importlib.util.find_spec("websockets") is None:
@@ -103,8 +128,8 @@ def address(port: int) -> str:
 class FoxgloveServer:
     """Serves channels to viewers while `listen` is called; all calls come from one thread.
 
-    With `clock`, `tell_time` says what time it is for the viewers, which then may go back. Raises AbsError if the port
-    is taken.
+    With `playback`, `tell_time` says what time it is for the viewers, which then may go back, and viewers with playback
+    controls use them. Raises AbsError if the port is taken.
     """
 
     def __init__(
@@ -113,12 +138,11 @@ class FoxgloveServer:
         session_id: str,
         channels: Sequence[Channel],
         services: Sequence[Service] = (),
-        *,
-        clock: bool = False,
+        playback: PlaybackControl | None = None,
     ) -> None:
         import websockets.server  # noqa: F401, PLC0415  an extra; loaded before messages come
 
-        self._session_id, self._clock = session_id, clock
+        self._session_id, self._playback = session_id, playback
         self._services = dict(enumerate(services, 1))
         self._channels: dict[str, int] = {}
         self._facts: dict[str, str] = {}
@@ -175,6 +199,16 @@ class FoxgloveServer:
         for viewer in self._viewers:
             viewer.tell_time(time_ns)
 
+    def tell_state(self, *, did_seek: bool) -> None:
+        """Send the state of the playback to all viewers."""
+        for viewer in self._viewers:
+            viewer.tell_state(did_seek=did_seek)
+
+    @property
+    def viewers(self) -> int:
+        """Number of connections."""
+        return len(self._viewers)
+
     def listen(self, most_s: float) -> None:
         """Serve the viewers' requests for `most_s` or a little longer."""
         end = time.monotonic() + most_s
@@ -204,7 +238,7 @@ class FoxgloveServer:
         if len(self._viewers) >= MOST_VIEWERS:
             connection.close()
             return
-        viewer = _Viewer(connection, self.port, self._introduction, self._kept, self._called)
+        viewer = _Viewer(connection, self.port, self._introduction, self._kept, self._called, self._playback)
         self._viewers.add(viewer)
         self._selector.register(connection, selectors.EVENT_READ, viewer)
 
@@ -241,17 +275,20 @@ class FoxgloveServer:
         return self._channels[answer.topic], answer
 
     def _server_info(self) -> str:
-        capabilities = [*(["services"] if self._services else []), *(["time"] if self._clock else [])]
-        return json.dumps(
-            {
-                "op": "serverInfo",
-                "name": "inteco-abs",
-                "capabilities": capabilities,
-                "supportedEncodings": ["json"] if self._services else [],
-                "metadata": self._facts,
-                "sessionId": self._session_id,
-            }
-        )
+        info: dict[str, Any] = {
+            "op": "serverInfo",
+            "name": "inteco-abs",
+            "capabilities": [],
+            "metadata": self._facts,
+            "sessionId": self._session_id,
+        }
+        if self._services:
+            info["capabilities"] += ["services"]
+            info["supportedEncodings"] = ["json"]
+        if self._playback is not None:
+            info["capabilities"] += ["time", "playbackControl"]
+            info["dataStartTime"], info["dataEndTime"] = map(_stamp, (self._playback.begin_ns, self._playback.end_ns))
+        return json.dumps(info)
 
     def _introduction(self) -> Iterator[str]:
         """The first messages to each viewer: server, channels and services."""
@@ -261,6 +298,11 @@ class FoxgloveServer:
             yield json.dumps(
                 {"op": "advertiseServices", "services": [_service(*each) for each in self._services.items()]}
             )
+
+
+def _stamp(time_ns: int) -> dict[str, int]:
+    seconds, nanoseconds = divmod(time_ns, 1_000_000_000)
+    return {"sec": seconds, "nsec": nanoseconds}
 
 
 def _service(number: int, service: Service) -> dict[str, Any]:
@@ -291,13 +333,14 @@ class _Viewer:
         introduction: Callable[[], Iterable[str]],
         kept: Mapping[int, Sequence[tuple[int, bytes]]],
         called: Callable[[int, Any], tuple[int, Answer]],
+        playback: PlaybackControl | None,
     ) -> None:
         from websockets.server import ServerProtocol  # noqa: PLC0415  an extra
 
         connection.setblocking(False)
         self.socket = connection
         self._hosts = {f"{host}:{port}" for host in _HOSTS}
-        self._introduction, self._kept, self._called = introduction, kept, called
+        self._introduction, self._kept, self._called, self._playback = introduction, kept, called, playback
         self._protocol: Any = ServerProtocol(origins=_ORIGINS, subprotocols=[_PROTOCOL], max_size=_LONGEST_REQUEST)
         self._subscriptions: dict[int, int] = {}
         """Channel of each subscription."""
@@ -341,7 +384,7 @@ class _Viewer:
             if not self._opened:
                 self._accept(event)
             elif (opcode := getattr(event, "opcode", None)) in {_TEXT, _BINARY}:
-                self._handle(event.data, self._subscribe if opcode == _TEXT else self._call)
+                self._handle(event.data, self._subscribe if opcode == _TEXT else self._command)
         self.send()
 
     def show(self, channel: int, log_time_ns: int, data: bytes) -> None:
@@ -364,6 +407,13 @@ class _Viewer:
         """Send the present time."""
         if self._takes():
             self._protocol.send_binary(_CLOCK.pack(_TIME, time_ns))
+            self.send()
+
+    def tell_state(self, request: bytes = b"", *, did_seek: bool) -> None:
+        """Send the state of the playback, as the answer to a named request if there is one."""
+        if self._playback is not None and self._takes():
+            state = self._playback.state()
+            self._protocol.send_binary(_STATE.pack(_PLAYBACK_STATE, *state, did_seek, len(request)) + request)
             self.send()
 
     def answer(self, most: int) -> None:
@@ -428,10 +478,17 @@ class _Viewer:
             for subscription in request["subscriptionIds"]:
                 self._subscriptions.pop(subscription, None)
 
+    def _command(self, data: bytes) -> None:
+        """Call a service or control the playback; other binary messages are not offered."""
+        if data[:1] == bytes([_REQUEST]):
+            self._call(data)
+        elif data[:1] == bytes([_CONTROL_REQUEST]) and self._playback is not None:
+            _, pause, speed, seeks, time_ns, length = _CONTROL.unpack_from(data)
+            self._playback.control(bool(pause), speed, time_ns if seeks else None)
+            self.tell_state(data[_CONTROL.size : _CONTROL.size + length], did_seek=bool(seeks))
+
     def _call(self, data: bytes) -> None:
-        """Call a service; other binary messages are not offered."""
-        if not data or data[0] != _REQUEST:
-            return
+        """Call a service."""
         _, service, call, length = _CALL.unpack_from(data)
         encoding, request = data[_CALL.size : _CALL.size + length], data[_CALL.size + length :]
         try:

@@ -124,7 +124,7 @@ class Dashboard:
 
     def passed(self, check: StartCheck, text: str = "") -> None:
         """Tick off a check of the start."""
-        self._passed[check] = text if text.isprintable() else ascii(text)[1:-1]
+        self._passed[check] = _printable(text)
         self._draw()
 
     def show(self, snapshot: Snapshot) -> None:
@@ -191,7 +191,8 @@ class Dashboard:
 
     def _title(self, width: int, signs: _Signs) -> Line:
         config, shot = self._config, self._snapshot
-        name: Line = [(signs.rule * 2, "dim"), (f" {config.controller.name} on {config.estimator.name} ", "bold")]
+        law = _printable(f"{config.controller.name} on {config.estimator.name}")
+        name: Line = [(signs.rule * 2, "dim"), (f" {law} ", "bold")]
         if config.experiment.stops > 1:
             name.append((f"stop {max(self._trace.stop, 1)} of {config.experiment.stops} ", ""))
         state = f" {shot.time_s:.1f} s, {shot.ticks} ticks " if shot else " starting "
@@ -370,6 +371,11 @@ def speed_top(start_speed_rad_s: float) -> float:
 def named(phase: Phase) -> str:
     """A phase in lower case, as `spin-up`."""
     return phase.name.lower().replace("_", "-")
+
+
+def _printable(text: str) -> str:
+    """The text without what a terminal obeys."""
+    return text if text.isprintable() else ascii(text)[1:-1]
 
 
 def _stdin() -> int:

@@ -26,6 +26,8 @@ class Playback:
         self.paused = False
         self.left = False
         """Whether the user has ended it."""
+        self.jumped = False
+        """Whether the position has changed otherwise than by playing, since this was reset."""
 
     @property
     def at_end(self) -> bool:
@@ -35,11 +37,20 @@ class Playback:
     def advance(self, elapsed_s: float, most_s: float) -> None:
         """Go on as `elapsed_s` seconds of real time have passed, but by at most `most_s` seconds of the session."""
         if not self.paused:
-            self.seek(self.position_s + min(elapsed_s * self.speed, most_s))
+            self.position_s = min(self.position_s + min(elapsed_s * self.speed, most_s), self.length_s)
 
     def seek(self, position_s: float) -> None:
         """Go to a position, or to the nearest one that there is."""
-        self.position_s = min(max(position_s, 0.0), self.length_s)
+        before_s, self.position_s = self.position_s, min(max(position_s, 0.0), self.length_s)
+        self.jumped |= self.position_s != before_s
+
+    def control(self, *, pause: bool, speed: float, seek_s: float | None) -> None:
+        """Do what a viewer's controls say; a speed that is none is ignored."""
+        self.paused = pause
+        if speed > 0.0:
+            self.speed = min(max(speed, SLOWEST), FASTEST)
+        if seek_s is not None:
+            self.seek(seek_s)
 
     def press(self, keys: bytes) -> None:
         """Do what the keys say; others are ignored."""

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from inteco_abs.config import RigConfig
 from inteco_abs.format import LOG_TOPIC, PARAMETERS_TOPIC, RESULT_TOPIC, TICK, TRUTH, Message, pack_result
 from inteco_abs.realtime import POINTS_PER_S, Histogram, Point, snapshot_of
-from inteco_abs.realtime.foxglove_server import PERIOD_S, FoxgloveServer
+from inteco_abs.realtime.foxglove_server import PERIOD_S, FoxgloveServer, PlaybackControl, PlaybackState
 from inteco_abs.sessions import (
     Channel,
     Session,
@@ -33,6 +33,8 @@ from inteco_abs.views.dashboard import Dashboard
 from inteco_abs.views.playback import KEYS, Playback
 
 Rows = npt.NDArray[np.void]
+
+_PLAYING, _PAUSED, _ENDED = 0, 1, 3
 
 _DRAWN_S: Final = 0.1
 """Between two pictures."""
@@ -53,20 +55,12 @@ def session_channels(session: Session) -> list[Channel]:
 
 
 class Player:
-    """Plays `session`, of which `playback` is the place, on `dashboard` and to the viewers of `server`, if given.
+    """Plays `session`, of which `playback` is the place."""
 
-    It raises SessionError if the file is damaged where it plays.
-    """
-
-    def __init__(
-        self,
-        session: Session,
-        config: RigConfig,
-        playback: Playback,
-        dashboard: Dashboard | None = None,
-        server: FoxgloveServer | None = None,
-    ) -> None:
-        self._session, self._playback, self._dashboard, self._server = session, playback, dashboard, server
+    def __init__(self, session: Session, config: RigConfig, playback: Playback) -> None:
+        self._session, self._playback = session, playback
+        self._dashboard: Dashboard | None = None
+        self._server: FoxgloveServer | None = None
         self._blocks = _Blocks(session)
         self._stops_ns = [entry.unix_ns for entry in session.log if entry.text == f"phase {Phase.IDLE.name}"]
         self._step = max(1, round(config.loop.rate_hz / POINTS_PER_S))
@@ -76,26 +70,56 @@ class Player:
         self._next_ns = self._logged = 0
         self._told = False
         self._drawn_s = -math.inf
+        self._told_state: tuple[int, float] | None = None
+        self._by_viewers = False
 
-    def play(self) -> None:
-        """Play until the end, or until the user leaves; at the end wait for the user where there are keys."""
-        keys = SimpleQueue[bytes]()
+    @property
+    def controls(self) -> PlaybackControl:
+        """What viewers may do."""
+        end_ns = self._blocks.zero_ns + round(self._playback.length_s * 1e9)
+        return PlaybackControl(self._blocks.zero_ns, end_ns, self._state, self._control)
+
+    def play(self, dashboard: Dashboard | None = None, server: FoxgloveServer | None = None) -> None:
+        """Play on `dashboard` and to the viewers of `server` until the end, or until the user leaves.
+
+        At the end it waits for a user with keys, and for viewers that have used their controls. Raises SessionError if
+        the file is damaged where it plays.
+        """
+        self._dashboard, self._server = dashboard, server
+        keys, playback = SimpleQueue[bytes](), self._playback
         with ExitStack() as stack:
             can = self._dashboard is not None and stack.enter_context(self._dashboard.keys(keys.put))
             self._send_parameters()
             self._jump()
             before_s = time.monotonic()
-            while not self._playback.left and (can or not self._playback.at_end):
+            while not playback.left and (can or not playback.at_end or self._controlled):
                 self._wait()
+                self._press(keys)
                 now_s = time.monotonic()
-                self._playback.advance(now_s - before_s, _MOST_STEP_S)
-                before_s = now_s
-                if self._pressed(keys):
+                if playback.jumped:
                     self._jump()
-                    before_s = time.monotonic()
+                    now_s = time.monotonic()
+                else:
+                    playback.advance(now_s - before_s, _MOST_STEP_S)
+                before_s = now_s
                 self._go_on(can=can)
         if self._server is not None:
             self._server.leave()
+
+    def _control(self, pause: bool, speed: float, seek_ns: int | None) -> None:
+        seek_s = None if seek_ns is None else (seek_ns - self._blocks.zero_ns) * 1e-9
+        self._playback.control(pause=pause, speed=speed, seek_s=seek_s)
+        self._by_viewers = True
+
+    @property
+    def _controlled(self) -> bool:
+        """Whether viewers control the playback, who may go back from the end."""
+        return self._by_viewers and self._server is not None and self._server.viewers > 0
+
+    def _state(self) -> PlaybackState:
+        playback = self._playback
+        status = _ENDED if playback.at_end else _PAUSED if playback.paused else _PLAYING
+        return PlaybackState(status, self._place_ns, playback.speed)
 
     def _wait(self) -> None:
         if self._server is not None:
@@ -103,14 +127,12 @@ class Player:
         else:
             time.sleep(PERIOD_S)
 
-    def _pressed(self, keys: SimpleQueue[bytes]) -> bool:
-        """Do what the keys say; return whether they lead to another place."""
-        place_s = self._playback.position_s
+    def _press(self, keys: SimpleQueue[bytes]) -> None:
         while True:
             try:
                 self._playback.press(keys.get_nowait())
             except Empty:
-                return self._playback.position_s != place_s
+                return
 
     @property
     def _place_ns(self) -> int:
@@ -120,6 +142,7 @@ class Player:
 
     def _jump(self) -> None:
         """Begin at another place: draw the stop so far, and have viewers go there."""
+        self._playback.jumped = False
         place_ns = self._place_ns
         stop = bisect_right(self._stops_ns, place_ns)
         longest_ns = place_ns - round(_LONGEST_TRACE_S * 1e9)
@@ -137,6 +160,7 @@ class Player:
             self._logged, self._told = 0, False
         self._next_ns = place_ns
         self._drawn_s = -math.inf
+        self._told_state = None
 
     def _go_on(self, *, can: bool) -> None:
         """Show all up to the present place."""
@@ -149,6 +173,10 @@ class Player:
         if self._server is not None:
             self._send_log(place_ns)
             self._server.tell_time(place_ns)
+            status, _, speed = self._state()
+            if self._told_state != (status, speed):
+                self._server.tell_state(did_seek=self._told_state is None)
+                self._told_state = status, speed
         if self._dashboard is not None and time.monotonic() >= self._drawn_s + _DRAWN_S:
             self._drawn_s = time.monotonic()
             self._dashboard.describe(str(self._playback), KEYS if can else "Ctrl-C ends")
@@ -158,7 +186,8 @@ class Player:
         """Keep what the next picture shows of these ticks."""
         if self._dashboard is None or not len(ticks):
             return
-        self._histogram.add(ticks["late_us"].tolist(), int(ticks["skipped"].sum()))
+        late_us = ticks["late_us"]
+        self._histogram.add(late_us[np.isfinite(late_us)].tolist(), int(ticks["skipped"].sum()))
         drawn = ticks[ticks["tick"] % self._step == 0]
         self._recent += map(Point, *(drawn[name].tolist() for name in Point._fields))
         self._newest = ticks[-1:]

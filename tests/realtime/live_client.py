@@ -12,6 +12,8 @@ from websockets.sync.client import connect
 
 MESSAGE = struct.Struct("<BIQ")
 CALL = struct.Struct("<BIII")
+CONTROL = struct.Struct("<BBfBQI")
+STATE = struct.Struct("<BBQfBI")
 FIRST = 7
 """Before the numbers of the subscriptions."""
 TICKS, BURST = "/abs/tick", "/abs/burst"
@@ -91,6 +93,15 @@ class Viewer:
                 return messages, json.loads(data[CALL.size + 4 :])
             elif MESSAGE.unpack_from(data)[1] == FIRST + self.channels[BURST]["id"]:
                 messages.append((MESSAGE.unpack_from(data)[2], data[MESSAGE.size :]))
+
+    def control(self, *, pause, speed, seek_ns=None):
+        """Use the playback controls; status, time in ns, speed and whether it sought, as the server answers."""
+        seeks = seek_ns is not None
+        self._socket.send(CONTROL.pack(3, pause, speed, seeks, seek_ns or 0, 4) + b"name")
+        while True:
+            data = self._socket.recv(30)
+            if isinstance(data, bytes) and data[0] == 5 and data[STATE.size :] == b"name":
+                return STATE.unpack_from(data)[1:5]
 
     def unsubscribe(self):
         self.send({"op": "unsubscribe", "subscriptionIds": [FIRST + self.channels[TICKS]["id"]]})

@@ -11,7 +11,7 @@ from inteco_abs.sessions import FileWriter
 
 CLEAR, TITLE, RIGHT_TO_LEFT = "\x1b[2J", "\x1b]0;mine\x07", "\u202e"
 NASTY = f"{CLEAR}{TITLE}\x9b31m{RIGHT_TO_LEFT}\r\x08end"
-READING = ("replay", "what-if", "info", "validate", "diff", "extract", "list")
+READING = ("replay", "what-if", "info", "validate", "diff", "extract", "list", "play")
 
 
 @pytest.fixture
@@ -61,6 +61,7 @@ def test_every_verb_escapes_foreign_text_for_the_terminal(verb, hostile, quick, 
         "diff": [file, quick.path],
         "extract": [file],
         "list": [tmp_path],
+        "play": [file, "--foxglove=0", "--speed=1024"],
     }.get(name, [file])
     done = verb(name, *words)
     assert orders(done.out + done.err) == set()

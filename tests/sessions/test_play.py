@@ -1,11 +1,11 @@
 """Playing a session: what viewers and the terminal get of it."""
 
+import math
 import socket
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing, nullcontext
+from contextlib import closing, contextmanager, nullcontext
 from pathlib import Path
-from threading import Event
 
 import numpy as np
 import pytest
@@ -15,9 +15,10 @@ from on_terminal import OnTerminal
 
 from inteco_abs.realtime.foxglove_server import FoxgloveServer
 from inteco_abs.sessions import TICK, TRUTH, Session, open_session, session_config
-from inteco_abs.views.playback import Playback
+from inteco_abs.views.playback import FASTEST, SLOWEST, Playback
 from inteco_abs.views.player import Player, session_channels
 
+PAUSED, ENDED = 1, 3
 LOG, PARAMETERS, RESULT = "/abs/event", "/abs/params", "/abs/result"
 
 
@@ -43,6 +44,9 @@ class Viewers:
 
     def forget(self, topic):
         self.forgotten.append(topic)
+
+    def tell_state(self, *, did_seek):
+        pass
 
     def tell_time(self, time_ns):
         self.times.append(time_ns)
@@ -100,8 +104,7 @@ def viewers(clock):
 def played(run, viewers, dashboard=None, **place):
     session = open_session(run.path)
     playback = Playback(session.duration_s, **place)
-    Player(session, session_config(session, ()), playback, dashboard, viewers).play()
-    return playback
+    Player(session, session_config(session, ()), playback).play(dashboard, viewers)
 
 
 def in_file(path, topic):
@@ -161,29 +164,63 @@ def test_who_goes_back_sees_the_stop_so_far_and_viewers_begin_their_log_again(tw
     assert max(again[again.index(starts_ns[0], 1) :]) <= to_ns
 
 
-def test_a_viewer_follows_over_a_websocket(two_stops):
-    session = open_session(two_stops.path)
-    server = FoxgloveServer(0, "an-id", session_channels(session), clock=True)
-    playback = Playback(session.duration_s, speed=8.0)
+@contextmanager
+def served(run, **place):
+    """A session that plays to a websocket in a thread; its playback and a function that makes a viewer."""
+    session = open_session(run.path)
+    playback = Playback(session.duration_s, **place)
+    player = Player(session, session_config(session, ()), playback)
+    server = FoxgloveServer(0, "an-id", session_channels(session), playback=player.controls)
     with closing(server), ThreadPoolExecutor(1) as pool:
+        yield playback, lambda *topics: watching(server.port, *topics), lambda: pool.submit(player.play, None, server)
 
-        def watch():
-            with watching(server.port, TICK.topic, LOG, PARAMETERS, RESULT) as viewer:
-                subscribed.set()
-                return viewer.info, viewer.rest()
 
-        subscribed = Event()
-        seen = pool.submit(watch)
-        while not subscribed.is_set():
-            server.listen(0.01)
-        Player(session, session_config(session, ()), playback, None, server).play()
-        info, messages = seen.result(10.0)
-    assert info["capabilities"] == ["time"]
+def test_a_viewer_follows_over_a_websocket(two_stops):
+    with served(two_stops, speed=8.0) as (playback, viewing, play):
+        playback.paused = True
+        playing = play()
+        with viewing(TICK.topic, LOG, PARAMETERS, RESULT) as viewer:
+            playback.paused = False
+            messages = viewer.rest()
+        playing.result(10.0)
     for topic in (LOG, PARAMETERS, RESULT):
         found = [data for of, _, data in messages if of == topic]
         assert found == [data for _, data in in_file(two_stops.path, topic)]
     ticks = [(time_ns, data) for of, time_ns, data in messages if of == TICK.topic]
     assert ticks[-1] == in_file(two_stops.path, TICK.topic)[-1]
+
+
+def test_a_viewers_controls_pause_seek_and_set_the_speed(two_stops):
+    times_ns = [time_ns for time_ns, _ in in_file(two_stops.path, TICK.topic)]
+    with served(two_stops, speed=SLOWEST) as (playback, viewing, play):
+        playing = play()
+        with viewing(TICK.topic) as viewer:
+            info = viewer.info
+            seek_ns = times_ns[0] + 10**9
+            assert viewer.control(pause=True, speed=2.0, seek_ns=seek_ns) == (PAUSED, seek_ns, 2.0, 1)
+            assert viewer.control(pause=True, speed=math.nan) == (PAUSED, seek_ns, 2.0, 0)
+            assert viewer.control(pause=True, speed=math.inf, seek_ns=0) == (PAUSED, times_ns[0], FASTEST, 1)
+            assert viewer.control(pause=False, speed=1.0, seek_ns=(1 << 64) - 1) == (ENDED, times_ns[-1] + 1, 1.0, 1)
+            assert not playing.done()
+            viewer.raw(b"\3\1")
+        playing.result(10.0)
+    assert info["capabilities"] == ["time", "playbackControl"]
+    begin, end = (each["sec"] * 10**9 + each["nsec"] for each in (info["dataStartTime"], info["dataEndTime"]))
+    assert (begin, end) == (times_ns[0], times_ns[-1])
+    assert playback.at_end
+
+
+def test_values_that_are_no_numbers_are_shown_as_they_are(two_stops, viewers):
+    session = open_session(two_stops.path)
+    ticks = session.ticks.copy()
+    for name, value in (("late_us", np.nan), ("slip", np.inf), ("road_speed_rad_s", np.nan)):
+        ticks[name] = value
+    dashboard = Keys()
+    viewers.each = lambda: dashboard.press(b"\x1b[Fq")
+    playback = Playback(session.duration_s)
+    Player(session.with_rows(ticks), session_config(session, ()), playback).play(dashboard, viewers)
+    assert dashboard.shown[-1].slip == np.inf
+    assert dashboard.shown[-1].late_us[0] is None
 
 
 def test_only_what_is_played_is_read(two_stops, viewers, monkeypatch):

@@ -1,6 +1,7 @@
 import io
 import re
 import threading
+from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
@@ -87,7 +88,7 @@ class Shown:
     """A dashboard of that size and what it has written, picture by picture."""
 
     def __init__(self, size=(80, 24), config=CONFIG, **options):
-        ours = {key: options.pop(key) for key in ("virtual", "line", "plain") if key in options}
+        ours = {key: options.pop(key) for key in ("virtual", "line", "plain", "playback") if key in options}
         self.console = console_of(size, **options)
         self.board = Dashboard(self.console, config, **ours)
 
@@ -113,6 +114,36 @@ def lines_of(text):
 def line_with(lines, *words):
     (line,) = (line for line in lines if all(word in line for word in words))
     return line
+
+
+class TestPlayback:
+    def test_it_shows_its_place_its_state_and_its_keys_and_warns_of_no_motor(self):
+        def play(board):
+            board.describe("of 9.0 s, 2x, paused", "space pauses")
+            board.show(BRAKED)
+
+        lines = lines_of(Shown((110, 36), playback=True).after(play))
+        assert "reaching-law on moving-window" in line_with(lines, " 6.6 of 9.0 s, 2x, paused ")
+        assert line_with(lines, "space pauses").strip() == "space pauses"
+        assert not any("emergency" in line for line in lines)
+
+    def test_going_back_begins_new_traces_and_counts_the_stops_before(self):
+        shown = Shown((110, 36), load_config(settings=("experiment.stops=5",)), playback=True)
+
+        def play(board):
+            board.show(BRAKED)
+            board.rewind(3)
+            board.show(USUAL._replace(recent=course(Phase.IDLE)))
+
+        lines = lines_of(shown.after(play))
+        assert any("stop 1 of 5" in line for line in lines)
+        last = max(at for at, line in enumerate(lines) if "reaching-law" in line)
+        assert "stop 4 of 5" in lines[last]
+        assert not any("slip" in line for line in lines[last + 1 :])
+
+    def test_a_strangers_name_gives_the_terminal_no_orders(self):
+        config = replace(CONFIG, controller=replace(CONFIG.controller, name="\x1b[2Jmine"))
+        assert "\x1b[2J" not in Shown(config=config, playback=True).raw(BRAKED)
 
 
 class TestBefore:

@@ -71,3 +71,11 @@ def test_the_speed_stays_in_its_range(playback):
 def test_q_leaves(playback):
     playback.press(b" q")
     assert (playback.left, playback.paused) == (True, True)
+
+
+def test_a_place_that_was_sought_differs_from_one_that_was_played(playback):
+    playback.advance(1.0, 9.0)
+    playback.press(b"]")
+    assert not playback.jumped
+    playback.press(RIGHT)
+    assert playback.jumped
