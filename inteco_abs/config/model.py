@@ -315,6 +315,8 @@ class ControllerConfig(Section):
     reference_formula: str | None = None
     """Slip to hold, as a formula of `t`, the time since braking began in s, and `speed`, the estimated road speed in
     rad/s: `0.2 + 0.05*sin(2*pi*t/0.4)`. Numbers, pi, + - * /, sin, cos, exp, min, max and step(x, x0)."""
+    reference_search: bool = False
+    """Search the slip at which the road slows most, from `reference_slip` on, and hold it."""
     hold_below_rad_s: Annotated[float, Interval(ge=0.0, le=100.0)] = 5.0
     """Below this estimated road speed the last demand is held: the model's terms grow like 1/speed."""
     gains: dict[str, float] = field(default_factory=dict)
@@ -328,6 +330,8 @@ class ControllerConfig(Section):
     @property
     def reference_key(self) -> str:
         """The key that gives the slip to hold."""
+        if self.reference_search:
+            return "reference_search"
         if self.reference_formula is not None:
             return "reference_formula"
         return "reference_slip" if self.reference_points is None else "reference_points"
@@ -335,6 +339,8 @@ class ControllerConfig(Section):
     @property
     def reference_text(self) -> str:
         """The reference slip for people: the constant, its range and what it is over, or the formula."""
+        if self.reference_search:
+            return f"searched from {self.reference_slip:g}"
         if self.reference_formula is not None:
             return self.reference_formula
         if self.reference_points is None:

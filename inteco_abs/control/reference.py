@@ -1,4 +1,4 @@
-"""A reference slip that changes while braking: linear between points over time or road speed, or a formula of both."""
+"""A reference slip that changes while braking: by points, by a formula, or searched."""
 
 from __future__ import annotations
 
@@ -12,12 +12,14 @@ from inteco_abs.config import ControllerConfig, RigConfig
 from inteco_abs.control.controllers import Controller, Gain
 from inteco_abs.control.formula import evaluate, parse_formula
 from inteco_abs.control.functions import Function, function_of
+from inteco_abs.control.peak_search import PeakState, seek_peak
 from inteco_abs.errors import ConfigIssue, shortened
 from inteco_abs.signals import BrakeDemand, Estimate
 
 _OVER: Final = ("reference_at_s", "reference_at_rad_s")
 _POINTS: Final = "reference_points"
 _FORMULA: Final = "reference_formula"
+_SEARCH: Final = "reference_search"
 _CHECKED_S: Final = [i / 100 for i in range(101)]
 _CHECKED_RAD_S: Final = [i * 5.0 for i in range(37)]
 
@@ -46,13 +48,30 @@ class FormulaConstants:
     law: Any
 
 
+@dataclass(frozen=True, slots=True)
+class SearchConstants:
+    """The constants of the law that holds the slip that a search finds."""
+
+    law: Any
+
+
+_CONSTANTS: Final = PointsConstants | FormulaConstants | SearchConstants
+
+
+@dataclass(slots=True)
+class Stack:
+    """What a formula computes with."""
+
+    numbers: list[float]
+
+
 @dataclass(slots=True)
 class ReferenceState:
     """Time since the first demand, and the state of the law, whose `reference` is the slip to hold now."""
 
     elapsed_s: float
-    stack: list[float]
-    """What a formula computes with."""
+    source: Any
+    """State of what finds that slip."""
     law: Any
 
 
@@ -73,18 +92,26 @@ def reference_at(k: PointsConstants, at: float) -> float:
     return k.slips[low - 1] + (k.slips[low] - k.slips[low - 1]) * share
 
 
-def by_points(k: Any, s: ReferenceState, road_speed: float, valid: bool) -> float:
+def by_points(k: Any, s: ReferenceState, estimate: Estimate, _dt_s: float) -> float:
     """Slip to hold now, or NaN: without a valid estimate a reference over speed stays."""
+    _, road_speed, _, valid, _ = estimate
     if k.over_time:
         return reference_at(k, s.elapsed_s)
     return reference_at(k, road_speed) if valid else math.nan
 
 
-def by_formula(k: Any, s: ReferenceState, road_speed: float, valid: bool) -> float:
+def by_formula(k: Any, s: ReferenceState, estimate: Estimate, _dt_s: float) -> float:
     """Slip to hold now, or NaN, as `by_points`."""
+    _, road_speed, _, valid, _ = estimate
     if k.uses_speed and not valid:
         return math.nan
-    return evaluate(k.codes, k.numbers, k.count, s.stack, s.elapsed_s, road_speed)
+    return evaluate(k.codes, k.numbers, k.count, s.source.numbers, s.elapsed_s, road_speed)
+
+
+def by_search(_k: Any, s: ReferenceState, estimate: Estimate, dt_s: float) -> float:
+    """Slip to hold now, or NaN, as `by_points`."""
+    _, road_speed, slip, valid, _ = estimate
+    return seek_peak(s.source, s.elapsed_s, road_speed, slip, dt_s) if valid else math.nan
 
 
 def _move(s: ReferenceState, slip: float, dt_s: float) -> None:
@@ -98,8 +125,7 @@ def follow(
     k: Any, s: ReferenceState, estimate: Estimate, dt_s: float, law: Function, slip_now: Function
 ) -> BrakeDemand:
     """Demand of the law at the reference of this tick."""
-    _, road_speed, _, valid, _ = estimate
-    _move(s, slip_now(k, s, road_speed, valid), dt_s)
+    _move(s, slip_now(k, s, estimate, dt_s), dt_s)
     demand: BrakeDemand = law(k.law, s.law, estimate, dt_s)
     return demand
 
@@ -113,22 +139,26 @@ class FollowingController(ReferenceState):
     internals: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, law: Any, chosen: ControllerConfig, start_rad_s: float) -> None:
-        self.k: PointsConstants | FormulaConstants
-        self.slip_now: Function
         constants = getattr(law, "k", None)  # a law without a function may have none
-        if chosen.reference_formula is not None:
+        self.k: Any
+        self.slip_now: Function
+        source: Any = Stack([0.0])
+        if chosen.reference_search:
+            self.k, self.slip_now, source = SearchConstants(constants), by_search, PeakState(chosen.reference_slip)
+        elif chosen.reference_formula is not None:
             program = parse_formula(chosen.reference_formula)
-            count = len(program.codes)
+            count, source = len(program.codes), Stack([0.0] * len(program.codes))
             self.k = FormulaConstants(program.uses_speed, count, program.codes, program.numbers, constants)
             self.slip_now = by_formula
         else:
             over_time = chosen.reference_at_s is not None
             at, slips = list(chosen.reference_at_s or chosen.reference_at_rad_s or ()), chosen.reference_points or ()
-            self.k, count = PointsConstants(over_time, len(at), at, list(slips), constants), 1
-            self.slip_now = by_points
-        super().__init__(0.0, [0.0] * count, law)
+            self.k, self.slip_now = PointsConstants(over_time, len(at), at, list(slips), constants), by_points
+        super().__init__(0.0, source, law)
         law.reference = chosen.reference_slip
-        _move(self, self.slip_now(self.k, self, start_rad_s, True), 0.0)
+        if not chosen.reference_search:
+            begin = Estimate(start_rad_s, start_rad_s, 0.0, valid=True)
+            _move(self, self.slip_now(self.k, self, begin, 0.0), 0.0)
 
     @property
     def function(self) -> Function | None:
@@ -138,8 +168,7 @@ class FollowingController(ReferenceState):
 
     def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:
         """Demand of the law at the reference of this tick."""
-        _, road_speed, _, valid, _ = estimate
-        _move(self, self.slip_now(self.k, self, road_speed, valid), dt_s)
+        _move(self, self.slip_now(self.k, self, estimate, dt_s), dt_s)
         demand: BrakeDemand = self.law.update(estimate, dt_s)
         return demand
 
@@ -164,30 +193,30 @@ def _constant(_controller: Any, constant: float) -> float:
 def reference_function(controller: object) -> Callable[[Any, float], float]:
     """What gives the slip that a controller holds now, of it, or of its record, and the slip to hold if constant."""
     # one inside of a wrapper that passes its attributes on counts as well
-    return _followed if isinstance(getattr(controller, "k", None), PointsConstants | FormulaConstants) else _constant
+    return _followed if isinstance(getattr(controller, "k", None), _CONSTANTS) else _constant
 
 
 def check_reference(name: str, kind: type, table: Mapping[str, Any]) -> Iterator[ConfigIssue]:
-    """What is wrong with the points or the formula in the section [controller] for the controller `name`."""
+    """What is wrong with the slip to hold in the section [controller] for the controller `name`."""
     points, formula, given = table.get(_POINTS), table.get(_FORMULA), [key for key in _OVER if key in table]
-    if points is None and formula is None and not given:
+    ways = [key for key in (_POINTS, _FORMULA, _SEARCH) if table.get(key) not in (None, False)]
+    if not (ways or given):
         return
     if not hasattr(kind, "reference"):
         problem = (
             f"{name} holds a constant slip only: declare `reference = 0.0` in its class and read self.reference in "
             "each update, choose another controller, or give controller.reference_slip"
         )
-        yield ConfigIssue(f"controller.{_POINTS if formula is None else _FORMULA}", problem)
-    if formula is not None:
-        if points is not None or given:
-            problem = f"give a formula or {_POINTS} with one of {' and '.join(_OVER)}, not both"
-            yield ConfigIssue(f"controller.{_FORMULA}", problem)
-        if isinstance(formula, str):
-            yield from _check_formula(formula)
-    elif points is None or len(given) != 1:
+        yield ConfigIssue(f"controller.{[*ways, *given][0]}", problem)
+    if len(ways) > 1 or (given and ways not in ([], [_POINTS])):
+        problem = f"give only one of {_POINTS} with one of {' and '.join(_OVER)}, {_FORMULA}, and {_SEARCH}"
+        yield ConfigIssue(f"controller.{ways[-1]}", problem)
+    elif isinstance(formula, str):
+        yield from _check_formula(formula)
+    elif ways not in ([_SEARCH], [_FORMULA]) and (points is None or len(given) != 1):
         problem = f"give {_POINTS} (slips) with one of {' and '.join(_OVER)}, both lists equally long"
         yield ConfigIssue(f"controller.{given[0] if points is None else _POINTS}", problem)
-    else:
+    elif ways == [_POINTS]:
         yield from _check_points(points, given[0], table[given[0]])
 
 

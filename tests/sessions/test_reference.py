@@ -1,5 +1,6 @@
 """A reference slip that changes while braking: followed, recorded and replayed."""
 
+import json
 from itertools import pairwise
 
 import numpy as np
@@ -78,6 +79,21 @@ def test_a_formula_is_that_of_time_and_estimated_speed(run_at, tmp_path):
     assert_replays(made.session)
 
 
+@pytest.mark.parametrize("start", [0.08, 0.4])
+def test_a_search_ends_near_the_peak_of_the_road_and_replays(run_at, tmp_path, start):
+    """Wet cobblestone: 0.4*(1 - exp(-33.7*slip)) - 0.12*slip has its peak at 0.14, and 99 % of it in 0.10 to 0.20."""
+    cobbles = 'base = "hard"\n[rig]\nroad = "wet-cobblestone"\nadhesion_scale = 1.0\n'
+    road = f"simulation.population={json.dumps(cobbles)}"
+    settings = ("controller.reference_search=true", f"controller.reference_slip={start}")
+    law = ("controller.name=predictive-reaching", "estimator.name=observer", "simulation.rig=cobbles.toml:3001", road)
+    session = run_at(tmp_path / "search.mcap", (*QUICK, "experiment.start_speed_rad_s=150.0", *settings, *law)).session
+    ticks = braking_of(session)
+    late = ticks[ticks["road_speed_rad_s"] < 75.0]
+    assert ticks["slip_reference"][1] == pytest.approx(start, abs=0.01)
+    assert 0.10 < late["slip_reference"].mean() < 0.20
+    assert_replays(session)
+
+
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
@@ -86,7 +102,12 @@ def test_a_formula_is_that_of_time_and_estimated_speed(run_at, tmp_path):
         ((STEP[0], "controller.reference_at_s=[0.0, 0.2]"), ["3 slips for 2 values"]),
         ((STEP[0], "controller.reference_at_s=[0.0, 0.3, 0.2]"), ["must rise"]),
         ((STEP[0], "controller.reference_at_s=[0.0, 0.1, 99.0]"), ["99"]),
-        ((*SINE, *STEP), ["give a formula or reference_points", "not both"]),
+        ((*SINE, *STEP), ["give only one of reference_points"]),
+        ((*STEP, "controller.reference_search=true"), ["give only one of", "reference_search"]),
+        (
+            ("controller.reference_search=true", "controller.name=law.py:Law"),
+            ["controller.reference_search: law.py:Law holds"],
+        ),
         (("controller.reference_formula=0.2 +",), ["not a formula at character", "allowed are numbers"]),
         (("controller.reference_formula=__import__('os')",), ["__import__", "allowed are numbers"]),
         (("controller.reference_formula=0.2 + x",), ["'x' is not allowed"]),
