@@ -219,6 +219,17 @@ def test_compare_controllers_sets_ours_beside_the_oracle_and_its_targets(untrace
 
 
 @pytest.mark.long
+def test_judge_search_sets_the_search_beside_hindsight_and_a_locked_wheel(untraced):
+    printed = run(
+        "judge_search", "--first=3000", "--draws=2", "--jobs=1", "--road=wet cobblestone", environment=untraced
+    )
+    headings, _, row = cells(printed)
+    ratios = {name: float(text.split()[0]) for name, text in zip(headings[3:], row[3:], strict=True)}
+    assert 1.0 <= ratios["search from 0.2"] < 1.03
+    assert ratios["locked wheel"] > 1.2
+
+
+@pytest.mark.long
 def test_compare_controllers_takes_every_part_of_ours_away(untraced):
     printed = run("compare_controllers", "--draws=1", "--jobs=2", "--only=^without", environment=untraced)
     rows = {name: values for name, *values in cells(printed)[2:]}
