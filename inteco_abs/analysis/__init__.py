@@ -1,7 +1,7 @@
 """Analysis of sessions: replay, comparison, what-if, regression tests and statistics."""
 
 from inteco_abs.analysis.baseline import previous_card
-from inteco_abs.analysis.catalogue import COLUMNS, session_files, session_row, sort_rows
+from inteco_abs.analysis.catalogue import COLUMNS, session_files, session_row, session_rows, sort_rows
 from inteco_abs.analysis.closed_loop import Continuation, continued, distance
 from inteco_abs.analysis.diff import SECTIONS, Change, Diff, SignalChange, diff_sessions, settings_of
 from inteco_abs.analysis.gains import REFERENCE, changed_gains, recorded_gains
@@ -54,6 +54,7 @@ __all__ = [
     "require_known",
     "session_files",
     "session_row",
+    "session_rows",
     "settings_of",
     "since_braking_s",
     "sort_rows",

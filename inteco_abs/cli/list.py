@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import click
 
-from inteco_abs.cli.options import FILE, LOSSES, json_option
+from inteco_abs.cli.options import FILE, LOSSES, check_table, json_option, write_csv
 from inteco_abs.cli.terminal import on_terminal, plain, print_json, say
 from inteco_abs.errors import ConfigError, near_match
 
@@ -39,33 +39,55 @@ _LATEST_OF_A_DATE: Final = len("2026-01-01T12:00:00")
 )
 @click.option("--reverse", is_flag=True, help="Sort in descending order.")
 @click.option("--recursive", "-r", is_flag=True, help="Also list the folders inside FOLDER.")
+@click.option(
+    "--where", default="", metavar="CONDITION", help="""List only these, as 'Mk > 3 and outcome = "completed"'."""
+)
+@click.option("--columns", default="", metavar="KEY,KEY", help="Columns to show, as named in --json.")
+@click.option("--csv", "table", type=FILE, help="Also write one line per session (.csv).")
 @json_option
-def list_sessions(folder: Path, key: str, reverse: bool, recursive: bool, as_json: bool) -> int:
+def list_sessions(
+    folder: Path,
+    key: str,
+    reverse: bool,
+    recursive: bool,
+    where: str,
+    columns: str,
+    table: Path | None,
+    as_json: bool,
+) -> int:
     """List the sessions in a folder with their results.
 
-    Of complete files it reads the summary only; `validate` checks every byte. Ends with 3 if a session is cut or
-    damaged.
+    Of complete files it reads the summary only; `validate` checks every byte. A condition compares results, gains,
+    reference_slip, board, rig, note, tags and all else that --json names, with = != < <= > >= or contains, joined by
+    and, or, not. An index in the cache folder saves reading files that have not changed; it may be deleted. Ends with 3
+    if a listed session is cut or damaged.
     """
-    from inteco_abs.analysis import COLUMNS, session_files, session_row, sort_rows
+    from inteco_abs.analysis import COLUMNS, session_rows, sort_rows
 
-    if key not in COLUMNS:
-        raise ConfigError.of("--sort", f"no column {key!r}{near_match(key, COLUMNS)}")
-    rows = sort_rows(map(session_row, session_files(folder, nested=recursive)), key, reverse=reverse)
+    check_table(table)
+    rows = sort_rows(session_rows(folder, nested=recursive, where=where), key, reverse=reverse)
+    chosen = [name.strip() for name in columns.split(",") if name.strip()]
+    known = {*COLUMNS, *(name for row in rows for name in row)}
+    if wrong := [name for name in chosen if rows and name not in known]:
+        raise ConfigError.of("--columns", f"no column {wrong[0]!r}{near_match(wrong[0], known)}")
     if as_json:
         print_json({"schema_version": 1, "folder": str(folder), "sessions": rows})
     elif rows:
-        _print(folder, rows)
+        _print(folder, rows, {name: name for name in chosen} or _HEADS)
     else:
         hint = "" if recursive else "; --recursive also searches its folders"
-        say(f"inteco-abs: {folder}: no sessions found{hint}", err=True)
+        such = f" with {where}" if where else ""
+        say(f"inteco-abs: {folder}: no sessions{such} found{hint}", err=True)
+    if table is not None:
+        write_csv([{name: row.get(name) for name in chosen or row} for row in rows], table)
     return LOSSES if any(row["problem"] for row in rows) else 0
 
 
-def _print(folder: Path, rows: Sequence[dict[str, Any]]) -> None:
+def _print(folder: Path, rows: Sequence[dict[str, Any]], heads: Mapping[str, str]) -> None:
     """Print one line each, with all columns, or on a terminal those that fit."""
     import shutil
 
-    columns = {name: [head, *(_cell(folder, row, name) for row in rows)] for name, head in _HEADS.items()}
+    columns = {name: [head, *(_cell(folder, row, name) for row in rows)] for name, head in heads.items()}
     widths = {name: max(map(len, cells)) for name, cells in columns.items()}
     left_out = _left_out(widths, shutil.get_terminal_size().columns) if on_terminal(sys.stdout) else []
     remarks = ["", *map(_remark, rows)]
@@ -73,7 +95,7 @@ def _print(folder: Path, rows: Sequence[dict[str, Any]]) -> None:
         cells = (cells[line].ljust(widths[name]) for name, cells in columns.items() if name not in left_out)
         say(f"{_GAP.join(cells)}{_GAP}{plain(remark)}".rstrip())
     if left_out:
-        names = ", ".join(_HEADS[name] for name in left_out)
+        names = ", ".join(heads[name] for name in left_out)
         say(f"inteco-abs: columns left out: {names}; a wider terminal or --json shows them", err=True)
 
 
@@ -85,7 +107,7 @@ def _remark(row: dict[str, Any]) -> str:
 def _left_out(widths: Mapping[str, int], room: int) -> list[str]:
     """Columns that do not fit into a line of `room` characters."""
     left_out: list[str] = []
-    for name in _FIRST_TO_GO:
+    for name in (name for name in _FIRST_TO_GO if name in widths):
         kept = [width for column, width in widths.items() if column not in left_out]
         if sum(kept) + len(_GAP) * (len(kept) - 1) <= room:
             break
@@ -94,9 +116,9 @@ def _left_out(widths: Mapping[str, int], room: int) -> list[str]:
 
 
 def _cell(folder: Path, row: dict[str, Any], name: str) -> str:
-    value = row[name]
+    value = row.get(name)
     if name == "session":
-        return plain(Path(value).relative_to(folder))
+        return plain(Path(row["session"]).relative_to(folder))
     if name == "rig":
         return plain(value or row["board"] or "-")
     if value is None:
