@@ -6,7 +6,7 @@ from wrong_inputs import Row, file, ids, session, stdin
 PROBE = "commission --yes-read-only"
 DRAFT = ("rig-profile.toml", "rig-profile.results.json")
 ROWS = [
-    Row("no such verb", "bogus", 2, ("no command 'bogus'",), "known: benchmark, commission, completion"),
+    Row("no such verb", "bogus", 2, ("no command 'bogus'",), "known: annotate, benchmark, commission"),
     Row("nearly a verb", "rum", 2, ("no command 'rum'",), "did you mean run?"),
     Row("underscore for a dash", "what_if", 2, ("what_if",), "did you mean what-if?"),
     Row("nearly a verb of a group", "golden tset", 2, ("no command 'tset'",), "did you mean test?"),
