@@ -3,6 +3,7 @@
 from inteco_abs.analysis.baseline import previous_card
 from inteco_abs.analysis.catalogue import COLUMNS, session_files, session_row, session_rows, sort_rows
 from inteco_abs.analysis.closed_loop import Continuation, continued, distance
+from inteco_abs.analysis.dataset import write_dataset
 from inteco_abs.analysis.diff import SECTIONS, Change, Diff, SignalChange, diff_sessions, settings_of
 from inteco_abs.analysis.gains import REFERENCE, changed_gains, recorded_gains
 from inteco_abs.analysis.golden import Golden, GoldenFolder, GoldenResult
@@ -59,4 +60,5 @@ __all__ = [
     "since_braking_s",
     "sort_rows",
     "what_if",
+    "write_dataset",
 ]

@@ -18,7 +18,7 @@ from inteco_abs.sessions.channels import (
 from inteco_abs.sessions.container import DamagedError
 from inteco_abs.sessions.content import CONFIG_NAME, CONTROLLER_FILES, CONTROLLER_SOURCE, RECOVERED
 from inteco_abs.sessions.environment import Environment, current_environment
-from inteco_abs.sessions.export import FORMATS, Export, export_session
+from inteco_abs.sessions.export import FORMATS, Export, export_session, write_parquet
 from inteco_abs.sessions.failover_writer import FailoverWriter, Opener, check_spill, joined, spill_path
 from inteco_abs.sessions.file_writer import FileWriter
 from inteco_abs.sessions.files import (
@@ -141,4 +141,5 @@ __all__ = [
     "to_polars",
     "validate",
     "write_file",
+    "write_parquet",
 ]

@@ -125,7 +125,8 @@ def _struct(table: Table) -> dict[str, Any]:
     return {name: values.astype(object) if values.dtype.kind == "U" else values for name, values in columns.items()}
 
 
-def _parquet(path: Path, group: list[Table], session: Session) -> None:
+def write_parquet(path: Path, group: list[Table], session: Session) -> None:
+    """Write the one table of `group`, with units, meanings and the session's metadata, to the new file `path`."""
     import pyarrow as pa  # noqa: PLC0415  heavy, and an extra
     from pyarrow import parquet  # noqa: PLC0415
 
@@ -158,5 +159,5 @@ FORMATS: Final[dict[str, _Format]] = {
     "csv": _Format(_csv, one_table_a_file=True, has_units=False),
     "npz": _Format(_npz, one_table_a_file=False),
     "mat": _Format(_mat, one_table_a_file=False, package="scipy"),
-    "parquet": _Format(_parquet, one_table_a_file=True, package="pyarrow"),
+    "parquet": _Format(write_parquet, one_table_a_file=True, package="pyarrow"),
 }
