@@ -58,7 +58,7 @@ _MOST_SUBSCRIPTIONS: Final = 16
 _MOST_KEPT: Final = 1000
 """Messages of a channel that later viewers get, too: the newest."""
 _MOST_BEHIND: Final = 1 << 16
-"""Bytes that may wait for a viewer before it misses messages."""
+"""Bytes that may wait for a viewer before it misses messages that others follow."""
 
 
 class Answer(NamedTuple):
@@ -188,7 +188,7 @@ class FoxgloveServer:
             kept.append((log_time_ns, data))
             del kept[:-_MOST_KEPT]
         for viewer in self._viewers:
-            viewer.show(channel, log_time_ns, data)
+            viewer.show(channel, log_time_ns, data, always=keep)
 
     def forget(self, topic: str) -> None:
         """Keep no message of a channel any more."""
@@ -362,9 +362,10 @@ class _Viewer:
         """Whether an answer is on its way to it."""
         return self._pending is not None
 
-    def _takes(self) -> bool:
-        """Whether it can be sent messages: it is not too slow, and not leaving."""
-        return self._opened and len(self._untaken) <= _MOST_BEHIND and not self._protocol.close_expected()
+    def _takes(self, *, always: bool = False) -> bool:
+        """Whether it can be sent messages: it is not leaving, and not too slow for what need not `always` come."""
+        behind = len(self._untaken) > _MOST_BEHIND and not always
+        return self._opened and not behind and not self._protocol.close_expected()
 
     def receive(self) -> None:
         """Read what has arrived, and answer it."""
@@ -387,9 +388,12 @@ class _Viewer:
                 self._handle(event.data, self._subscribe if opcode == _TEXT else self._command)
         self.send()
 
-    def show(self, channel: int, log_time_ns: int, data: bytes) -> None:
-        """Send one message to each subscription of its channel, unless the viewer is too slow or is leaving."""
-        if self._takes():
+    def show(self, channel: int, log_time_ns: int, data: bytes, *, always: bool) -> None:
+        """Send one message to each subscription of its channel, unless the viewer is leaving, or too slow.
+
+        What must `always` be sent is rare, and comes late to one that is slow.
+        """
+        if self._takes(always=always):
             for subscription in [each for each, of in self._subscriptions.items() if of == channel]:
                 self._send_message(subscription, log_time_ns, data)
         self.send()
@@ -399,7 +403,7 @@ class _Viewer:
 
     def tell(self, text: str) -> None:
         """Send a text."""
-        if self._takes():
+        if self._takes(always=True):
             self._protocol.send_text(text.encode())
             self.send()
 
@@ -411,7 +415,7 @@ class _Viewer:
 
     def tell_state(self, request: bytes = b"", *, did_seek: bool) -> None:
         """Send the state of the playback, as the answer to a named request if there is one."""
-        if self._playback is not None and self._takes():
+        if self._playback is not None and self._takes(always=True):
             state = self._playback.state()
             self._protocol.send_binary(_STATE.pack(_PLAYBACK_STATE, *state, did_seek, len(request)) + request)
             self.send()

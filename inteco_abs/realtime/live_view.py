@@ -131,15 +131,16 @@ class _RunServer:
         """Send what is new: the newest tick and state, and all else."""
         if not self._described:
             self._describe()
-        if self._truths.written != self._next_truth and (state := self._truths.newest()) is not None:
-            self._next_truth = self._truths.written
-            ((time_ns,),) = TRUTH.values(state, ("time_ns",))
-            self._server.send(TRUTH.topic, self._epoch_ns + time_ns, state)
         records, self._next = self._ticks.look(self._next)
         if records:
             self._show_events(records)
             self._newest = records[-TICK.size :]
             self._server.send(TICK.topic, self._time_of(self._newest), self._newest)
+        if self._newest and self._truths.written != self._next_truth:  # the file has no states from before the ticks
+            self._next_truth, state = self._truths.written, self._truths.newest()
+            if state is not None:
+                ((time_ns,),) = TRUTH.values(state, ("time_ns",))
+                self._server.send(TRUTH.topic, self._epoch_ns + time_ns, state)
         while True:
             try:
                 message = self._view.shown.get_nowait()

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from live_client import BURST, CALL, watching
+from live_client import BURST, CALL, MESSAGE, watching
 from websockets.client import ClientProtocol
 from websockets.protocol import State
 from websockets.sync.client import connect
@@ -382,7 +382,10 @@ class TestStrangers:
                 other.send(said)
                 loop.reach(viewer)
 
-    def test_a_viewer_that_reads_nothing_and_closes_disturbs_no_other(self, memory, job, loop, monkeypatch):
+    @pytest.fixture
+    def slow(self, memory, job, monkeypatch):
+        """A viewer with little room for what it has not read, with many subscriptions: its protocol and its socket."""
+
         def create_server(address):
             server = create(address)
             server.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)  # it is full sooner
@@ -390,7 +393,7 @@ class TestStrangers:
 
         create = socket.create_server
         monkeypatch.setattr(socket, "create_server", create_server)
-        subscriptions = [{"id": number, "channelId": 1} for number in range(MOST_VIEWERS)]
+        subscriptions = [{"id": number, "channelId": 1 if number else 4} for number in range(MOST_VIEWERS)]
         with live_view(memory, job), socket.socket() as other:
             port = memory.words[Field.LIVE_PORT]
             other.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
@@ -402,17 +405,37 @@ class TestStrangers:
                 client.receive_data(other.recv(4096))
             client.send_text(json.dumps({"op": "subscribe", "subscriptions": subscriptions}).encode())
             other.sendall(b"".join(client.data_to_send()))
+            yield client, other
+
+    def test_a_viewer_that_reads_nothing_and_closes_disturbs_no_other(self, memory, loop, slow):
+        client, other = slow
+        for _ in range(40):
+            loop.append()
+            time.sleep(PERIOD_S)
+        client.send_close(1000)
+        other.sendall(b"".join(client.data_to_send()))
+        with watching(memory.words[Field.LIVE_PORT]) as viewer:
             for _ in range(40):
                 loop.append()
+                other.recv(4096)
                 time.sleep(PERIOD_S)
-            client.send_close(1000)
-            other.sendall(b"".join(client.data_to_send()))
-            with watching(port) as viewer:
-                for _ in range(40):
-                    loop.append()
-                    other.recv(4096)
-                    time.sleep(PERIOD_S)
-                loop.reach(viewer)
+            loop.reach(viewer)
+
+    def test_a_slow_viewer_misses_ticks_but_no_event(self, loop, slow):
+        client, other = slow
+        changes = 60
+        for number in range(changes):
+            loop.append(phase=(Phase.IDLE, Phase.ARMED)[number % 2])
+            time.sleep(PERIOD_S)
+        other.settimeout(10.0)
+        events = ticks = 0
+        while events < changes:
+            client.receive_data(other.recv(4096))
+            data = [event.data for event in client.events_received() if getattr(event, "opcode", 0) == 2]  # binary
+            heads = [MESSAGE.unpack_from(each) for each in data]
+            events += sum(subscription == 0 for _, subscription, _ in heads)
+            ticks += sum(subscription > 0 for _, subscription, _ in heads)
+        assert 0 < ticks < changes * (MOST_VIEWERS - 1)
 
     def test_ticks_stop_when_a_viewer_unsubscribes(self, memory, job, loop):
         with live_view(memory, job), watching(memory.words[Field.LIVE_PORT]) as viewer:
