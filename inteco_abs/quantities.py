@@ -1,10 +1,11 @@
-"""Hints for numbers with a comma or in another unit; numbers for JSON and tables."""
+"""Name, unit and meaning of numbers; hints for those with a comma or in another unit; numbers for JSON and tables."""
 
 from __future__ import annotations
 
 import math
 import re
-from typing import Final
+from collections.abc import Iterable
+from typing import Final, NamedTuple
 
 _NUMBER: Final = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _WITH_COMMA: Final = re.compile(r"([+-]?\d+),(\d+)\s*[^\d,]*")
@@ -21,6 +22,20 @@ _FAR: Final = 3.0
 _LARGEST: Final = 1e12
 """Larger numbers are in no unit."""
 _ENDINGS: Final = {"_rad_s": "rad/s", "_per_s": "1/s", "_hz": "Hz", "_nm": "N m", "_s": "s"}
+
+
+class Quantity(NamedTuple):
+    """What a number is."""
+
+    name: str
+    unit: str = ""
+    """As in UCUM, such as `1/s` or `N.m`; `1` has no dimension, empty is unknown, or a text."""
+    meaning: str = ""
+
+
+def quantities(declared: Iterable[Quantity | str | Iterable[str]]) -> tuple[Quantity, ...]:
+    """Quantities that were declared as such or as plain names, or come from JSON."""
+    return tuple(Quantity(each) if isinstance(each, str) else Quantity(*each) for each in declared)
 
 
 def finite(value: float) -> float | None:

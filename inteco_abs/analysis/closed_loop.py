@@ -21,13 +21,13 @@ from inteco_abs.boards import Board, InProcessLink, board_behind
 from inteco_abs.config import RigConfig, SimulationConfig, load_config
 from inteco_abs.control import Controller, Gain, Pipeline, make_controller, make_estimator
 from inteco_abs.errors import SessionError, describe_error
-from inteco_abs.format import TICK, TRUTH
+from inteco_abs.format import INTERNALS, TICK, TRUTH
 from inteco_abs.mock_board import Device, Truth, front_end_of
 from inteco_abs.sessions import Session, result_card
 from inteco_abs.signals import BrakeDemand, Command, Estimate, Phase, Sample, Tick
 
 _SIMULATED_PROFILE: Final = "sim_usb2"
-_DEMAND: Final = ("brake_request", "torque_demand_nm", "switching", "c0", "c1", "c2", "c3")
+_DEMAND: Final = ("brake_request", "torque_demand_nm", "switching", *INTERNALS)
 _DISTANCES: Final = ("road_speed_rad_s", "slip", "brake")
 _RUNNING: Final = (Phase.SPIN_UP, Phase.BRAKING)
 

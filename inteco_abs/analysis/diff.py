@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from inteco_abs.analysis.gains import recorded_gains
-from inteco_abs.format import DOUBLE, TICK, TRUTH, Column, Role
-from inteco_abs.sessions import CONFIG_NAME, Session, card_of, joined_rows
+from inteco_abs.format import DOUBLE, INTERNALS, TICK, TRUTH, Column, Role
+from inteco_abs.sessions import CONFIG_NAME, Session, card_of, internals_of, joined_rows
 from inteco_abs.signals import Phase
 
 _NOT_METRICS: Final = frozenset(
@@ -23,7 +23,6 @@ _NOT_METRICS: Final = frozenset(
     | {"payload_sha256"}
 )
 _BLOCK_TICKS: Final = 1 << 14
-_INTERNALS: Final = ("c0", "c1", "c2", "c3")
 
 Array = npt.NDArray[Any]
 
@@ -160,8 +159,8 @@ def _signals(a: Session, b: Session, rel: float) -> Iterator[Change | SignalChan
         yield from _changes({"ticks": a.tick_count}, {"ticks": b.tick_count})
         return
     starts = _starts(a, b)
-    internals = [session.channels.get(TICK.topic, {}).get("internals") for session in (a, b)]
-    left_out = () if internals[0] == internals[1] else _INTERNALS
+    internals = [[each.name for each in internals_of(session.channels) if each.name] for session in (a, b)]
+    left_out = () if internals[0] == internals[1] else INTERNALS
     outputs = [column for column in TICK.columns if column.role is Role.OUTPUT and column.name not in left_out]
     yield from _compare("", outputs, _aligned(_ticks(a), _ticks(b), starts), rel)
     if a.truth_count and b.truth_count:

@@ -7,7 +7,6 @@ hash and software of every version.
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import re
 import tomllib
@@ -34,6 +33,8 @@ from inteco_abs.sessions import (
     FileWriter,
     Session,
     ensured_directory,
+    gains_of,
+    internals_of,
     read_session,
     result_card,
     session_config,
@@ -299,17 +300,18 @@ def _write_copy(session: Session, payload: bytes, path: Path) -> None:
     """Write the session with other ticks, without truth and facts about the host."""
     config: RigConfig = session_config(session, ())
     ticks = TICK.array(payload)
-    internals = json.loads(session.channels[TICK.topic].get("internals", "[]"))
     facts_of_run = session.metadata.get("session", {})
-    with FileWriter(path, int(ticks["time_ns"][0]), internals, facts_of_run.get("session_id", "")) as recorder:
+    start_ns, session_id = int(ticks["time_ns"][0]), facts_of_run.get("session_id", "")
+    internals, gains = internals_of(session.channels), gains_of(session.channels)
+    with FileWriter(path, start_ns, session_id, internals=internals, gains=gains) as recorder:
         for name in _KEPT:
             if name in session.metadata:
                 facts = session.metadata[name]
                 recorder.describe(name, {key: value for key, value in facts.items() if key not in _NOT_KEPT})
         for name, data in session.attachments.items():
             recorder.attach(name, "application/toml" if name == CONFIG_NAME else "application/octet-stream", data)
-        gains = {name: float(value) for name, value in recorded_gains(session).items()}
-        recorder.begin({"reference_slip": config.controller.reference_slip, **gains})
+        values = {name: float(value) for name, value in recorded_gains(session).items()}
+        recorder.begin({"reference_slip": config.controller.reference_slip, **values})
         recorder.ticks(payload)
         card = {**result_card(config, ticks, TRUTH.array(b"")), "lost_ticks": 0}
         recorder.finish(facts_of_run.get("outcome", ""), facts_of_run.get("reason", ""), card)

@@ -41,12 +41,13 @@ def controllers(name: str | None, as_json: bool) -> int:
 def _describe(name: str, *, as_json: bool) -> None:
     from inteco_abs.cli.options import known_controllers
     from inteco_abs.plugins import FROM_FILE
+    from inteco_abs.quantities import quantities
 
     known = known_controllers(name)
     if name not in known:
         raise ConfigError.of("NAME", f"no controller {name!r}{near_match(name, known)}")
     kind = known[name]
-    one = Description(name, docstring(kind), kind.gains, kind.internals, getattr(kind, "estimator", ""))
+    one = Description(name, docstring(kind), kind.gains, quantities(kind.internals), getattr(kind, "estimator", ""))
     values = {gain.name: gain.default for gain in kind.gains}
     named = {} if FROM_FILE in name else {"name": name}  # a config file cannot name the user's own code
     print_description(one, {"controller": {**named, **({"gains": values} if values else {})}}, as_json=as_json)

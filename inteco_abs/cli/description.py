@@ -6,9 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from inteco_abs.cli.terminal import print_json, say
+from inteco_abs.format import INTERNALS
 
 if TYPE_CHECKING:
     from inteco_abs.control import Gain, Parameter
+    from inteco_abs.quantities import Quantity
 
 _NAME_COLUMNS: Final = 19
 """Width of the column of names, that of the longest name that ships."""
@@ -20,7 +22,7 @@ class Description(NamedTuple):
     name: str
     text: str
     numbers: Sequence[Gain | Parameter]
-    internals: Sequence[str] = ()
+    internals: Sequence[Quantity] = ()
     estimator: str = ""
 
 
@@ -28,9 +30,9 @@ def print_description(one: Description, toml: Mapping[str, Any], *, as_json: boo
     import tomli_w
 
     lines = tomli_w.dumps(toml)
-    internals = [name for name in one.internals if name]
     if as_json:
         numbers = [each._asdict() for each in one.numbers]
+        internals = [each.name for each in one.internals]
         facts = {"name": one.name, "text": one.text, "numbers": numbers, "internals": internals, "toml": lines}
         print_json({"schema_version": 1, **facts, "estimator": one.estimator or None})
         return
@@ -40,8 +42,9 @@ def print_description(one: Description, toml: Mapping[str, Any], *, as_json: boo
     _print_numbers(one.numbers, indent=2)
     if not one.numbers:
         say("  nothing to set")
-    if internals:
-        say(f"\nin a session, c0 and the following are {', '.join(internals)}")
+    for column, each in zip(INTERNALS, one.internals, strict=False):
+        unit = "" if each.unit in {"", "1"} else f" in {each.unit}"
+        say(f"\n{column} in a session is {each.name}{unit}{f': {each.meaning}' if each.meaning else ''}")
     say(f"\nin rig.toml, with the defaults:\n\n{lines.rstrip()}" if lines else "")
 
 

@@ -40,7 +40,7 @@ def info(file: Path, everything: bool, as_json: bool) -> int:
 
 
 def _summary(session: Session) -> dict[str, Any]:
-    from inteco_abs.sessions import stored_card
+    from inteco_abs.sessions import gains_of, stored_card
 
     return {
         "schema_version": 1,
@@ -52,6 +52,7 @@ def _summary(session: Session) -> dict[str, Any]:
         "events": session.events,
         "frames": session.frames,
         "attachments": {name: len(data) for name, data in session.attachments.items()},
+        "gains": {each.name: {"unit": each.unit, "meaning": each.meaning} for each in gains_of(session.channels)},
         "metadata": {name: facts for name, facts in session.metadata.items() if name != "result"},
         "result": stored_card(session.metadata),
     }
@@ -79,7 +80,8 @@ def _first_facts(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
     law = metadata.get("controller", {})
     names = [key for key in law if key.startswith("gain.") and not key.endswith(".hex")]
-    gains = [f"{key.partition('.')[2]}={law[key]}" for key in names]
+    units = {name: each["unit"] for name, each in summary["gains"].items() if each["unit"] not in {"", "1"}}
+    gains = [f"{name}={law[key]}{f' {units[name]}' if name in units else ''}" for key in names for name in [key[5:]]]
     commit = f"{joined('software', 'git_commit')[:10]}{' with changes' if is_true('software', 'git_dirty') else ''}"
     place = f"{'simulated' if is_true('rig', 'simulated') else 'real'} rig {joined('rig', 'drawn')}".strip()
     time = "virtual time" if is_true("rig", "virtual_time") else "real time"

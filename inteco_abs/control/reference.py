@@ -14,6 +14,7 @@ from inteco_abs.control.formula import evaluate, parse_formula
 from inteco_abs.control.functions import Function, function_of
 from inteco_abs.control.peak_search import PeakState, seek_peak
 from inteco_abs.errors import ConfigIssue, shortened
+from inteco_abs.quantities import Quantity
 from inteco_abs.signals import BrakeDemand, Estimate
 
 _OVER: Final = ("reference_at_s", "reference_at_rad_s")
@@ -136,7 +137,7 @@ class FollowingController(ReferenceState):
     __slots__ = ("k", "slip_now")
 
     gains: ClassVar[tuple[Gain, ...]] = ()
-    internals: ClassVar[tuple[str, ...]] = ()
+    internals: ClassVar[tuple[Quantity, ...]] = ()
 
     def __init__(self, law: Any, chosen: ControllerConfig, start_rad_s: float) -> None:
         constants = getattr(law, "k", None)  # a law without a function may have none

@@ -17,6 +17,7 @@ from inteco_abs.control import OVER, Controller, Pipeline, gains_in_force
 from inteco_abs.errors import SessionError, UnsafeError, describe_error
 from inteco_abs.experiment.plan import Plan, RunProgress, facts_of, job_of, ring_ticks
 from inteco_abs.mock_board import Device, FaultyDevice, FaultyFrontEnd, FaultyHost, FrontEnd, Schedule, front_end_of
+from inteco_abs.quantities import quantities
 from inteco_abs.realtime import (
     Histogram,
     Loop,
@@ -131,7 +132,8 @@ class VirtualRun:
         return partial(
             FileWriter,
             start_ns=now_ns,
-            controller_internals=controller.internals,
+            internals=quantities(controller.internals),
+            gains=[gain.quantity for gain in controller.gains],
             session_id=self._session_id,
             epoch_ns=time.time_ns() - now_ns,
         )
@@ -215,12 +217,14 @@ class VirtualRun:
 
     def _introduction(self, board: Board, watchdog: Mapping[str, str]) -> RunHeader:
         config, plan = self._config, self._plan
+        controller = plan.controllers[config.controller.name]
         return RunHeader(
             board=plan.board,
             identity={**board.require_writable().facts(), **watchdog},
             virtual=True,
             gains=gains_in_force(config, plan.controllers),
-            internals=plan.controllers[config.controller.name].internals,
+            internals=quantities(controller.internals),
+            declared=[gain.quantity for gain in controller.gains],
             controller_source=plan.controller_source,
             controller_package=plan.controller_package,
             facts=facts_of(config, plan),

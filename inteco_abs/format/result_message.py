@@ -22,17 +22,18 @@ class ResultField(NamedTuple):
     """As in the card; `lateness_us_p50` is its `lateness_us["p50"]`."""
     kind: int = DOUBLE.type_number
     unit: str = "1"
+    """As in UCUM; empty for a text."""
 
 
 RESULT: Final = (
-    ResultField("session", TEXT),
-    ResultField("outcome", TEXT),
-    ResultField("reason", TEXT),
-    ResultField("explanation", TEXT),
-    ResultField("board", TEXT),
-    ResultField("rig", TEXT),
-    ResultField("controller", TEXT),
-    ResultField("estimator", TEXT),
+    ResultField("session", TEXT, ""),
+    ResultField("outcome", TEXT, ""),
+    ResultField("reason", TEXT, ""),
+    ResultField("explanation", TEXT, ""),
+    ResultField("board", TEXT, ""),
+    ResultField("rig", TEXT, ""),
+    ResultField("controller", TEXT, ""),
+    ResultField("estimator", TEXT, ""),
     ResultField("ticks", INT64),
     ResultField("overruns", INT64),
     ResultField("lost_ticks", INT64),
@@ -50,12 +51,12 @@ RESULT: Final = (
     ResultField("slip_rms_fixed_true"),
     ResultField("lock_fraction"),
     ResultField("torque_variation_nm_per_s", unit="N.m/s"),
-    ResultField("duty_variation_per_s", unit="/s"),
+    ResultField("duty_variation_per_s", unit="1/s"),
     ResultField("lateness_us_p50", unit="us"),
     ResultField("lateness_us_p99", unit="us"),
     ResultField("lateness_us_p999", unit="us"),
     ResultField("lateness_us_max", unit="us"),
-    ResultField("payload_sha256", TEXT),
+    ResultField("payload_sha256", TEXT, ""),
 )
 
 

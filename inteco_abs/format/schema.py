@@ -62,6 +62,7 @@ class Column:
     name: str
     kind: MessageKind
     unit: str
+    """As in UCUM; `1` has no dimension, empty is only declared by the run's controller."""
     meaning: str
     role: Role = Role.OUTPUT
 
@@ -211,6 +212,8 @@ def _enum(members: type[IntEnum]) -> bytes:
     return enum(members.__name__, [(f"{prefix}_{member.name}", int(member)) for member in members])
 
 
+INTERNALS: Final = ("c0", "c1", "c2", "c3")
+"""Columns of a tick with the controller's own values."""
 _D, _F = DOUBLE, FLOAT
 _IN, _T = Role.INPUT, Role.TIMING
 
@@ -221,8 +224,8 @@ TICK: Final = Message(
         Column("time_ns", FIXED64, "ns", "monotonic clock when the board had been read", _IN),
         Column("tick", FIXED32, "1", "number of the exchange, from 0", _IN),
         Column("dt_s", _D, "s", "time since the previous sample", _IN),
-        Column("wheel_count", SFIXED64, "counts", "upper, braked wheel, unwrapped", _IN),
-        Column("road_count", SFIXED64, "counts", "lower wheel, the road, unwrapped", _IN),
+        Column("wheel_count", SFIXED64, "{count}", "upper, braked wheel, unwrapped", _IN),
+        Column("road_count", SFIXED64, "{count}", "lower wheel, the road, unwrapped", _IN),
         Column(
             "board_flags",
             FIXED32,
@@ -244,10 +247,7 @@ TICK: Final = Message(
         Column("drive", _D, "1", "drive duty admitted by the guard, written at the next tick"),
         Column("brake", _D, "1", "brake duty admitted by the guard, written at the next tick"),
         Column("reason", REASON, "1", "why the outputs were taken away"),
-        Column("c0", _D, "1", "controller internal, named in the channel's metadata"),
-        Column("c1", _D, "1", "controller internal"),
-        Column("c2", _D, "1", "controller internal"),
-        Column("c3", _D, "1", "controller internal"),
+        *(Column(name, _D, "", "controller internal, not declared") for name in INTERNALS),
         Column("late_us", _F, "us", "start of the tick minus its deadline", _T),
         Column("io_us", _F, "us", "duration of the exchange with the board", _T),
         Column("busy_us", _F, "us", "what the previous tick took after its exchange", _T),

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import keyword
 import math
-from typing import Any, Final
+from typing import Any
 
 from inteco_abs.control import Controller, Gain
 from inteco_abs.errors import ConfigError
-
-_MOST_INTERNALS: Final = 4
+from inteco_abs.format import INTERNALS
+from inteco_abs.quantities import Quantity
 
 
 def require_controller(path: str, kind: object, name: str) -> type[Controller]:
@@ -33,11 +33,17 @@ def _problem_of(kind: object, name: str) -> str:
         return f"{name}.gains must be a tuple of inteco_abs.control.Gain; () if it has none"
     problems = [f"{name}.gains: {gain.name!r}: {problem}" for gain in gains if (problem := _problem_of_gain(gain))]
     internals = getattr(kind, "internals", None)
-    if not isinstance(internals, tuple) or len(internals) > _MOST_INTERNALS:
-        problems.append(f"{name}.internals must be a tuple of at most {_MOST_INTERNALS} names; () if it logs none")
+    if not isinstance(internals, tuple) or len(internals) > len(INTERNALS):
+        problems.append(f"{name}.internals must be a tuple of at most {len(INTERNALS)} names; () if it logs none")
+    elif not all(isinstance(each, str) or _is_quantity(each) for each in internals):
+        problems.append(f"{name}.internals: each must be a name or an inteco_abs.quantities.Quantity")
     if not isinstance(getattr(kind, "estimator", ""), str):
         problems.append(f"{name}.estimator must be the name of the estimator that it needs; omit it if any will do")
     return problems[0] if problems else ""
+
+
+def _is_quantity(each: object) -> bool:
+    return isinstance(each, Quantity) and all(isinstance(text, str) for text in each)
 
 
 def _problem_of_gain(gain: Gain) -> str:

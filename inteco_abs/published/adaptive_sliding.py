@@ -15,6 +15,7 @@ from typing import Any
 
 from inteco_abs.control import Gain
 from inteco_abs.published.base import PublishedLaw, PublishedState, demand, duty_of, limited, terms
+from inteco_abs.quantities import Quantity
 from inteco_abs.signals import BrakeDemand, Estimate
 
 _ADAPTIVE = (
@@ -55,7 +56,7 @@ class LyapunovSliding(PublishedLaw, AdaptiveState):
     """Adaptive sliding mode by a Lyapunov function (Chereji, Radac and Szedlak-Stinean 2021)."""
 
     gains = _ADAPTIVE
-    internals = ("rate_per_s",)
+    internals = (Quantity("rate_per_s", "1/s", "switching rate in force"),)
     function = staticmethod(lyapunov_sliding)
 
 
@@ -63,5 +64,5 @@ class ReachingSliding(PublishedLaw, AdaptiveState):
     """Adaptive sliding mode by a reaching law (Chereji, Radac and Szedlak-Stinean 2021)."""
 
     gains = (Gain("Mk", 5.0, 0.0, 1000.0, "1/s", "proportional rate"), *_ADAPTIVE)
-    internals = ("rate_per_s",)
+    internals = (Quantity("rate_per_s", "1/s", "switching rate in force"),)
     function = staticmethod(reaching_sliding)

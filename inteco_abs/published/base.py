@@ -6,6 +6,7 @@ from dataclasses import dataclass, make_dataclass
 from typing import Any, ClassVar
 
 from inteco_abs.control import BrakingModel, Function, Gain, Setup, SlipConstants, slip_terms
+from inteco_abs.quantities import Quantity
 from inteco_abs.rig import brake_duty
 from inteco_abs.signals import BrakeDemand, Estimate
 
@@ -34,7 +35,7 @@ class PublishedLaw(PublishedState):
     """A law as `function` of constants, state, estimate and time; it also derives from its state, a dataclass."""
 
     gains: ClassVar[tuple[Gain, ...]]
-    internals: ClassVar[tuple[str, ...]] = ()
+    internals: ClassVar[tuple[Quantity, ...]] = ()
     function: ClassVar[Function]
     constants: ClassVar[type[LawConstants]] = LawConstants
     """Its constants but for the gains."""

@@ -17,6 +17,7 @@ from typing import Any
 from inteco_abs import elementary
 from inteco_abs.control import Gain
 from inteco_abs.published.base import PublishedLaw, PublishedState, demand
+from inteco_abs.quantities import Quantity
 from inteco_abs.signals import BrakeDemand, Estimate
 
 _SLOW = 0.2
@@ -68,5 +69,5 @@ class ExtremumSeeking(PublishedLaw, SeekingState):
         Gain("Ki", 1.3, 0.0, 1000.0, "1/s", "integral gain"),
         Gain("bias", 0.57, 0.0, 1.0, "1", "duty at no error"),
     )
-    internals = ("slip_sought",)
+    internals = (Quantity("slip_sought", "1", "reference without the sway"),)
     function = staticmethod(extremum_seeking)

@@ -18,6 +18,7 @@ from typing import Any
 
 from inteco_abs.control import Gain
 from inteco_abs.published.base import PublishedLaw, PublishedState, demand
+from inteco_abs.quantities import Quantity
 from inteco_abs.signals import BrakeDemand, Estimate
 
 
@@ -73,5 +74,5 @@ class FivePhase(PublishedLaw, PhasesState):
         Gain("drop_per_s", 3.0, 0.0, 100.0, "1/s", "of the duty"),
         Gain("filter_rad_s", 100.0, 1.0, 1000.0, "rad/s", "of the filter of both speeds"),
     )
-    internals = ("phase",)
+    internals = (Quantity("phase", "1", "number of the phase"),)
     function = staticmethod(five_phase)

@@ -17,6 +17,7 @@ from typing import Any
 from inteco_abs import elementary
 from inteco_abs.control import Gain
 from inteco_abs.published.base import PublishedLaw, PublishedState, demand, duty_of, limited, terms
+from inteco_abs.quantities import Quantity
 from inteco_abs.signals import BrakeDemand, Estimate
 
 _LENGTH = 5
@@ -78,5 +79,5 @@ class GreySliding(PublishedLaw, GreyState):
         Gain("interval_s", 0.005, 0.0005, 0.1, "s", "between the slips of the grey model"),
         Gain("steps", 4.0, 0.1, 40.0, "1", "predicted ahead, in intervals"),
     )
-    internals = ("slip_predicted",)
+    internals = (Quantity("slip_predicted", "1", "slip that the grey model predicts"),)
     function = staticmethod(grey_sliding)

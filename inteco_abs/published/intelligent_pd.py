@@ -13,6 +13,7 @@ from typing import Any
 
 from inteco_abs.control import Gain
 from inteco_abs.published.base import PublishedLaw, PublishedState, demand
+from inteco_abs.quantities import Quantity
 from inteco_abs.signals import BrakeDemand, Estimate
 
 
@@ -50,5 +51,5 @@ class IntelligentPd(PublishedLaw, IntelligentState):
         Gain("Kd", 35.0, 0.0, 1e5, "1/s", "gain of the derivative"),
         Gain("filter_rad_s", 60.0, 1.0, 1000.0, "rad/s", "of the filter of slip and duty"),
     )
-    internals = ("F_per_s2",)
+    internals = (Quantity("F_per_s2", "1/s2", "estimated F of the ultra-local model"),)
     function = staticmethod(intelligent_pd)

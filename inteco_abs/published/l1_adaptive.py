@@ -14,6 +14,7 @@ from typing import Any
 
 from inteco_abs.control import Gain
 from inteco_abs.published.base import PublishedLaw, PublishedState, demand, duty_of, limited, terms
+from inteco_abs.quantities import Quantity
 from inteco_abs.signals import BrakeDemand, Estimate
 
 _MOST_NM = 8.0
@@ -53,9 +54,9 @@ class L1Adaptive(PublishedLaw, L1State):
 
     gains = (
         Gain("am", 5.0, 0.01, 1000.0, "1/s", "wanted decay of the slip error"),
-        Gain("gamma", 2000.0, 0.0, 1e7, "(N m)2", "adaptation gain"),
+        Gain("gamma", 2000.0, 0.0, 1e7, "N2.m2", "adaptation gain"),
         Gain("bandwidth", 10.0, 0.1, 1000.0, "rad/s", "of the filter"),
-        Gain("full_nm", 12.0, 1.0, 50.0, "N m", "largest torque of the brake that the predictor assumes"),
+        Gain("full_nm", 12.0, 1.0, 50.0, "N.m", "largest torque of the brake that the predictor assumes"),
     )
-    internals = ("sigma_nm",)
+    internals = (Quantity("sigma_nm", "N.m", "estimated disturbance sigma"),)
     function = staticmethod(l1_adaptive)

@@ -17,6 +17,7 @@ from typing import Any
 
 from inteco_abs.control import Gain
 from inteco_abs.published.base import PublishedLaw, PublishedState, demand, duty_of, terms
+from inteco_abs.quantities import Quantity
 from inteco_abs.signals import BrakeDemand, Estimate
 
 _STEP = 0.01
@@ -53,8 +54,8 @@ class Lqr(PublishedLaw, LqrState):
     """Gain-scheduled LQR (Petersen and others 2001) on the configured model of the rig, as `identify` finds it."""
 
     gains = (
-        Gain("q1", 1e4, 0.0, 1e9, "(N m/s)2", "weight of the integral, per weight of the torque"),
-        Gain("q2", 100.0, 0.0, 1e7, "(N m)2", "weight of the slip error"),
+        Gain("q1", 1e4, 0.0, 1e9, "N2.m2/s2", "weight of the integral, per weight of the torque"),
+        Gain("q2", 100.0, 0.0, 1e7, "N2.m2", "weight of the slip error"),
     )
-    internals = ("integral_s",)
+    internals = (Quantity("integral_s", "s", "integral of the slip error"),)
     function = staticmethod(lqr)

@@ -19,6 +19,7 @@ from typing import Any
 
 from inteco_abs.control import Gain
 from inteco_abs.published.base import PublishedLaw, PublishedState, demand, duty_of, limited, terms
+from inteco_abs.quantities import Quantity
 from inteco_abs.signals import BrakeDemand, Estimate
 
 _MOST_NM = 20.0
@@ -58,8 +59,8 @@ class MinimumVariance(PublishedLaw, VarianceState):
     gains = (
         Gain("period_s", 0.005, 0.0005, 0.1, "s", "digital period"),
         Gain("share", 0.05, 0.0, 1.0, "1", "of the distance from the surface that a period removes"),
-        Gain("rho", 1e-5, 0.0, 1.0, "(1/(N m))2", "weight of the torque's change"),
+        Gain("rho", 1e-5, 0.0, 1.0, "N-2.m-2", "weight of the torque's change"),
         Gain("learn", 0.05, 0.0, 1.0, "1", "share of a new error of the prediction in its estimate"),
     )
-    internals = ("missing_per_s",)
+    internals = (Quantity("missing_per_s", "1/s", "slip rate that the model misses"),)
     function = staticmethod(minimum_variance)

@@ -18,6 +18,7 @@ from typing import Any
 from inteco_abs import elementary
 from inteco_abs.control import Gain
 from inteco_abs.published.base import PublishedLaw, PublishedState, demand, limited
+from inteco_abs.quantities import Quantity
 from inteco_abs.signals import BrakeDemand, Estimate
 
 _SETS = 3
@@ -78,5 +79,5 @@ class NeuroFuzzy(PublishedLaw, NetworkState):
         Gain("rate_width", 2.0, 0.01, 1000.0, "1/s", "slip rate between two sets"),
         Gain("filter_rad_s", 100.0, 1.0, 1000.0, "rad/s", "of the slip's derivative"),
     )
-    internals = ("network_duty",)
+    internals = (Quantity("network_duty", "1", "duty of the network"),)
     function = staticmethod(neuro_fuzzy)

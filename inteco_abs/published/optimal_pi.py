@@ -19,6 +19,7 @@ from typing import Any
 
 from inteco_abs.control import Gain
 from inteco_abs.published.base import PublishedLaw, PublishedState, demand, limited
+from inteco_abs.quantities import Quantity
 from inteco_abs.signals import BrakeDemand, Estimate
 
 _PI = (
@@ -74,5 +75,5 @@ class FuzzyPi(PublishedLaw, IncrementalState):
         Gain("Be", 0.2, 0.001, 10.0, "1", "slip error at which its sets are full"),
         Gain("eta", 0.5, 0.01, 10.0, "1", "ratio of the gain where error and increment have the same sign"),
     )
-    internals = ("gain",)
+    internals = (Quantity("gain", "1", "proportional gain in force"),)
     function = staticmethod(fuzzy_pi)

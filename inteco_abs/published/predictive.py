@@ -26,6 +26,7 @@ from typing import Any
 from inteco_abs import elementary
 from inteco_abs.control import Gain
 from inteco_abs.published.base import PublishedLaw, PublishedState, demand, duty_of, limited, terms
+from inteco_abs.quantities import Quantity
 from inteco_abs.rig import brake_torque
 from inteco_abs.signals import BrakeDemand, Estimate
 
@@ -136,11 +137,11 @@ class ModelPredictive(PublishedLaw, PredictiveState):
 
     gains = (
         Gain("horizon_s", 0.05, 0.005, 0.5, "s", "predicted beyond the dead time"),
-        Gain("rho", 1e-4, 1e-9, 1.0, "1/(N m)2", "weight of the torque's change in a tick"),
+        Gain("rho", 1e-4, 1e-9, 1.0, "N-2.m-2", "weight of the torque's change in a tick"),
         Gain("lag_s", 0.05, 0.002, 0.2, "s", "lag of the brake"),
         Gain("dead_time_s", 0.015, 0.0005, 0.06, "s", "dead time of the brake"),
         Gain("observer_rad_s", 30.0, 1.0, 500.0, "rad/s", "of the estimate of what the model misses"),
         Gain("speed_rad_s", 50.0, 1.0, 500.0, "rad/s", "of the filter for the road's deceleration"),
     )
-    internals = ("missed_nm",)
+    internals = (Quantity("missed_nm", "N.m", "torque that the model misses"),)
     function = staticmethod(model_predictive)

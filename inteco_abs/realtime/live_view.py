@@ -18,6 +18,7 @@ from typing import Any, Final
 
 from inteco_abs.boards import simulated
 from inteco_abs.format import LOG_TOPIC, PARAMETERS_TOPIC, RESULT_TOPIC, TICK, TRUTH, pack_result
+from inteco_abs.quantities import quantities
 from inteco_abs.realtime.foxglove_server import PERIOD_S, Answer, FoxgloveServer, Service
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import Field, Mailbox, RunMemory
@@ -155,7 +156,8 @@ class _RunServer:
             return
         self._described = True
         for topic in (TICK.topic, BURST_TOPIC):
-            self._server.describe(row_channel(TICK, internals=header["internals"])._replace(topic=topic))
+            self._server.describe(row_channel(TICK, quantities(header["internals"]))._replace(topic=topic))
+        self._server.describe(parameter_channel(quantities(header["declared"])))
         gains = {"reference_slip": self._job.config.controller.reference_slip, **header["gains"]}
         now_ns = self._epoch_ns + time.monotonic_ns()
         self._server.send(PARAMETERS_TOPIC, now_ns, pack_parameters(gains), keep=True)

@@ -135,7 +135,7 @@ class Mailbox(IntEnum):
     """The recorder's reports on its disks, and the file that it writes now."""
 
 
-_NOTE_BYTES: Final = {Mailbox.JOB: 2 << 20, Mailbox.ENVIRONMENT: 2 << 20}
+_NOTE_BYTES: Final = {Mailbox.JOB: 2 << 20, Mailbox.ENVIRONMENT: 2 << 20, Mailbox.HEADER: 256 << 10}
 _OTHER_NOTE_BYTES: Final = 64 << 10
 _WORDS_AT: Final = 4096
 _NOTES_AT: Final = 8192

@@ -23,8 +23,8 @@ def spool_run(job: Job, header: RunHeader, end: RunEnd, window: Window, file: Pa
     job.post(memory)
     memory.post(Mailbox.TROUBLES, {"texts": [], "file": str(file)})
     memory.post(Mailbox.ENVIRONMENT, header.environment.as_note())
-    numbers = {"identity": dict(header.identity), "gains": dict(header.gains), "internals": list(header.internals)}
-    memory.post(Mailbox.HEADER, {**numbers, "settings": []})
+    numbers = {"identity": dict(header.identity), "gains": dict(header.gains), "internals": header.internals}
+    memory.post(Mailbox.HEADER, {**numbers, "declared": header.declared, "settings": []})
     memory.post(Mailbox.RUN_END, {"reason": int(end.reason), "detail": end.detail, "aborted": end.aborted, "cost": {}})
     ring, states = memory.tick_ring(_copy, ticks.start), memory.truth_ring(_copy, truths.start)
     for records, seen in window.held():

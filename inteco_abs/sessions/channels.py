@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from inteco_abs.format import (
+    INTERNALS,
     LOG_NAME,
     LOG_TOPIC,
     PARAMETERS_NAME,
@@ -18,6 +19,7 @@ from inteco_abs.format import (
     RESULT,
     RESULT_NAME,
     RESULT_TOPIC,
+    TICK,
     Message,
     chunk,
     double,
@@ -27,6 +29,7 @@ from inteco_abs.format import (
     result_descriptor,
     tag,
 )
+from inteco_abs.quantities import Quantity
 from inteco_abs.signals import EXPLANATIONS, Phase, Reason
 
 INFO: Final = 2
@@ -34,6 +37,9 @@ INFO: Final = 2
 WARNING: Final = 3
 ERROR: Final = 4
 _STATE: Final = ("phase", "reason")
+_UNDECLARED: Final = "controller internal"
+"""What the meaning of an internal begins with that its controller has not declared."""
+_REFERENCE: Final = Quantity("reference_slip", "1", "slip to hold")
 
 
 class Channel(NamedTuple):
@@ -47,15 +53,15 @@ class Channel(NamedTuple):
     """Metadata, such as units in JSON."""
 
 
-def row_channel(message: Message, internals: Sequence[str] | None = None) -> Channel:
+def row_channel(message: Message, internals: Iterable[Quantity] | None = None) -> Channel:
     """The channel of `message`, with unit and meaning of each column, and the names of the controller's internals."""
-    facts = {
-        "units": json.dumps({column.name: column.unit for column in message.columns}),
-        "describe": json.dumps({column.name: column.meaning for column in message.columns}),
-    }
+    columns = {column.name: Quantity(column.name, column.unit, column.meaning) for column in message.columns}
+    own = {}
     if internals is not None:
-        facts["internals"] = json.dumps(list(internals))
-    return Channel(message.topic, message.name, message.descriptor(), facts)
+        named = dict(zip(INTERNALS, internals, strict=False))
+        columns |= named
+        own["internals"] = json.dumps([each.name for each in named.values()])
+    return Channel(message.topic, message.name, message.descriptor(), _described(columns) | own)
 
 
 def event_channel() -> Channel:
@@ -63,15 +69,54 @@ def event_channel() -> Channel:
     return Channel(LOG_TOPIC, LOG_NAME, log_descriptor(), {})
 
 
-def parameter_channel() -> Channel:
-    """The channel of the parameters in force."""
-    return Channel(PARAMETERS_TOPIC, PARAMETERS_NAME, parameters_descriptor(), {})
+def parameter_channel(gains: Iterable[Quantity] = ()) -> Channel:
+    """The channel of the parameters in force, with unit and meaning of each."""
+    facts = _described({each.name: each for each in (_REFERENCE, *gains)})
+    return Channel(PARAMETERS_TOPIC, PARAMETERS_NAME, parameters_descriptor(), facts)
 
 
 def result_channel() -> Channel:
     """The channel of the result card, with the unit of each metric."""
-    units = {"units": json.dumps({entry.name: entry.unit for entry in RESULT})}
-    return Channel(RESULT_TOPIC, RESULT_NAME, result_descriptor(), units)
+    units = {entry.name: Quantity(entry.name, entry.unit) for entry in RESULT}
+    return Channel(RESULT_TOPIC, RESULT_NAME, result_descriptor(), _described(units))
+
+
+def _described(columns: Mapping[str, Quantity]) -> dict[str, str]:
+    """Metadata of a channel: units and meanings in JSON, of the columns that have them."""
+    units = {name: each.unit for name, each in columns.items() if each.unit}
+    meanings = {name: each.meaning for name, each in columns.items() if each.meaning}
+    return {name: json.dumps(texts) for name, texts in (("units", units), ("describe", meanings)) if texts}
+
+
+def internals_of(channels: Mapping[str, Mapping[str, str]]) -> tuple[Quantity, ...]:
+    """The controller's internals in c0, c1 and so on, as the channels' metadata name and describe them.
+
+    Sessions before units of internals have names only. What cannot be read is left out.
+    """
+    facts = channels.get(TICK.topic, {})
+    units, meanings = (_texts(facts, key) for key in ("units", "describe"))
+    found = []
+    for column, name in zip(INTERNALS, _texts(facts, "internals").values(), strict=False):
+        declared = not meanings.get(column, "").startswith(_UNDECLARED)
+        found.append(Quantity(name, units.get(column, ""), meanings.get(column, "")) if declared else Quantity(name))
+    return tuple(found)
+
+
+def gains_of(channels: Mapping[str, Mapping[str, str]]) -> tuple[Quantity, ...]:
+    """The reference and the gains with unit and meaning, as the metadata of their channel describe them."""
+    facts = channels.get(PARAMETERS_TOPIC, {})
+    units, meanings = (_texts(facts, key) for key in ("units", "describe"))
+    return tuple(Quantity(name, units.get(name, ""), meanings.get(name, "")) for name in units | meanings)
+
+
+def _texts(facts: Mapping[str, str], key: str) -> dict[str, str]:
+    """The texts in the JSON of a fact, by name, or by place in a list; none if it is damaged."""
+    try:
+        found = json.loads(facts.get(key, "{}"))
+    except (ValueError, RecursionError):
+        return {}
+    pairs = found.items() if isinstance(found, dict) else enumerate(found) if isinstance(found, list) else ()
+    return {str(name): text for name, text in pairs if isinstance(text, str)}
 
 
 def pack_event(stamp_ns: int, level: int, text: str) -> bytes:

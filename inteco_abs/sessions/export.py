@@ -8,6 +8,7 @@ import json
 import zipfile
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -18,7 +19,10 @@ from numpy.lib.recfunctions import repack_fields
 from inteco_abs.errors import AbsError, SessionError, describe_disk
 from inteco_abs.sessions.files import atomic_write, check_output
 from inteco_abs.sessions.reader import Session, read_session
-from inteco_abs.sessions.tables import Table, columns_of, tables
+from inteco_abs.sessions.tables import Table, tables
+
+_CSVW_TYPES: Final = {"f": "double", "i": "integer", "u": "integer", "b": "boolean", "U": "string"}
+"""Types of columns by numpy's kinds."""
 
 
 class ExportedFile(NamedTuple):
@@ -27,7 +31,7 @@ class ExportedFile(NamedTuple):
     path: Path
     tables: tuple[str, ...]
     rows: int
-    """Rows of all its tables."""
+    """Rows of all its tables; of the metadata, the columns described."""
 
 
 class Export(NamedTuple):
@@ -42,16 +46,16 @@ class _Format(NamedTuple):
     one_table_a_file: bool
     package: str = ""
     """Required package; empty for the base install."""
-    has_units: bool = True
-    """Whether its files can hold units and meanings; else they get a separate table."""
+    companion: bool = False
+    """Whether a file of metadata, units and meanings is written beside it, as its files cannot hold them."""
 
 
 def export_session(source: Path, form: str, out: Path) -> Export:
     """Write the session at `source` to `out` in one of `FORMATS`; an hour needs little memory, but as MATLAB file.
 
-    In a format with one table per file, `out` has the ticks; the other tables, and units and meanings if the format
-    cannot hold them, go to files beside it, such as `stop.truth.csv`. Raises ConfigError, SessionError, or AbsError
-    if the format's package is not installed.
+    In a format with one table per file, `out` has the ticks; the other tables go to files beside it, such as
+    `stop.truth.csv`, and metadata that the format cannot hold to `stop.csv-metadata.json`. Raises ConfigError,
+    SessionError, or AbsError if the format's package is not installed.
     """
     chosen = FORMATS[form]
     if chosen.package and importlib.util.find_spec(chosen.package) is None:
@@ -59,25 +63,30 @@ def export_session(source: Path, form: str, out: Path) -> Export:
     check_output(out)
     session = read_session(source)
     found = tables(session)
-    if not chosen.has_units:
-        found.append(columns_of(found))
     groups = [[table] for table in found] if chosen.one_table_a_file else [found]
     paths = [out, *(out.with_name(f"{out.stem}.{group[0].name}{out.suffix}") for group in groups[1:])]
-    for path in paths[1:]:
+    companion = out.with_name(f"{out.name}-metadata.json")  # where readers of CSVW look for it
+    for path in (*paths[1:], *([companion] if chosen.companion else [])):
         check_output(path)
     with ExitStack() as parts:
         for path, group in zip(paths, groups, strict=True):
-            _write(chosen, path, parts.enter_context(atomic_write(path)), group, session)
+            _write(chosen.write, path, parts.enter_context(atomic_write(path)), group, session)
+        if chosen.companion:
+            write = partial(_csvw, [path.name for path in paths])
+            _write(write, companion, parts.enter_context(atomic_write(companion)), found, session)
     files = [
         ExportedFile(path, tuple(table.name for table in group), sum(table.number for table in group))
         for path, group in zip(paths, groups, strict=True)
     ]
-    return Export(session, files)
+    columns = sum(len(table.units) for table in found)
+    return Export(session, [*files, *([ExportedFile(companion, ("metadata",), columns)] if chosen.companion else [])])
 
 
-def _write(chosen: _Format, path: Path, part: Path, group: list[Table], session: Session) -> None:
+def _write(
+    write: Callable[[Path, list[Table], Session], None], path: Path, part: Path, group: list[Table], session: Session
+) -> None:
     try:
-        chosen.write(part, group, session)
+        write(part, group, session)
     except (OSError, ValueError) as error:  # scipy's own errors of arrays too large for its format are ValueErrors
         why = describe_disk(error) if isinstance(error, OSError) else error
         raise SessionError(f"{path} cannot be written: {why}") from error
@@ -92,6 +101,29 @@ def _csv(path: Path, group: list[Table], _session: Session) -> None:
             columns = [rows[name] for name in table.units]
             numbers = [column.view(np.uint8) if column.dtype == bool else column for column in columns]
             writer.writerows(zip(*(column.tolist() for column in numbers), strict=True))
+
+
+def _csvw(names: list[str], path: Path, group: list[Table], session: Session) -> None:
+    """Metadata of the csv files `names` as CSV on the Web (W3C) has them; units are UCUM."""
+    facts = {"epoch.unix_ns": str(session.epoch_ns)}
+    facts |= {f"{record}.{key}": value for record, each in session.metadata.items() for key, value in each.items()}
+    described = [
+        {"url": name, "tableSchema": {"columns": [_csvw_column(table, column) for column in table.units]}}
+        for name, table in zip(names, group, strict=True)
+    ]
+    content = {
+        "@context": "http://www.w3.org/ns/csvw",
+        "tables": described,
+        "schema:additionalProperty": [{"schema:name": key, "schema:value": value} for key, value in facts.items()],
+    }
+    path.write_text(json.dumps(content, indent=1), encoding="utf-8")
+
+
+def _csvw_column(table: Table, name: str) -> dict[str, str]:
+    kind, unit, meaning = table.dtype[name].kind, table.units[name], table.meanings[name]
+    column = {"name": name, "titles": name, "datatype": _CSVW_TYPES[kind], "schema:unitText": unit}
+    column |= {"dc:description": meaning, "null": "nan" if kind == "f" else ""}
+    return {key: text for key, text in column.items() if text}
 
 
 def _npz(path: Path, group: list[Table], session: Session) -> None:
@@ -113,6 +145,7 @@ def _mat(path: Path, group: list[Table], session: Session) -> None:
 
     content: dict[str, Any] = {table.name: _struct(table) for table in group}
     content["units"] = {table.name: table.units for table in group}
+    content["meanings"] = {table.name: table.meanings for table in group}
     content["metadata"] = _texts(group, session)["metadata"]
     with path.open("xb") as file:
         savemat(file, content, long_field_names=True, oned_as="column")
@@ -156,7 +189,7 @@ def _texts(group: list[Table], session: Session) -> dict[str, str]:
 
 
 FORMATS: Final[dict[str, _Format]] = {
-    "csv": _Format(_csv, one_table_a_file=True, has_units=False),
+    "csv": _Format(_csv, one_table_a_file=True, companion=True),
     "npz": _Format(_npz, one_table_a_file=False),
     "mat": _Format(_mat, one_table_a_file=False, package="scipy"),
     "parquet": _Format(write_parquet, one_table_a_file=True, package="pyarrow"),

@@ -7,7 +7,7 @@ import json
 import os
 import time
 import uuid
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -29,6 +29,7 @@ from inteco_abs.format import (
     io_frame_descriptor,
     pack_result,
 )
+from inteco_abs.quantities import Quantity
 from inteco_abs.sessions.channels import (
     WARNING,
     Channel,
@@ -57,18 +58,20 @@ class FileWriter:
     """A session file being written at `path`; a context manager. Raises SessionError if the disk fails.
 
     `session_id` and `epoch_ns` (UNIX time of the monotonic clock's zero) are given for another file of the same
-    session. With `durable`, a thread syncs the file to the disk after each `flush`, and `begin` and `finish` wait until
-    it is there, which may take seconds. Leaving the context closes the file; only `finish` completes it.
+    session; `internals` and `gains` are what the controller declares. With `durable`, a thread syncs the file to the
+    disk after each `flush`, and `begin` and `finish` wait until it is there, which may take seconds. Leaving the
+    context closes the file; only `finish` completes it.
     """
 
     def __init__(
         self,
         path: Path,
         start_ns: int,
-        controller_internals: Sequence[str] = (),
         session_id: str = "",
         epoch_ns: int | None = None,
         *,
+        internals: Iterable[Quantity] = (),
+        gains: Iterable[Quantity] = (),
         durable: bool = False,
     ) -> None:
         check_output(path)
@@ -93,10 +96,10 @@ class FileWriter:
         self._writer = McapWriter(self._file, f"inteco-abs/{version('inteco-abs')}")
         self._waiting = {message.topic: bytearray() for message in (TICK, TRUTH)}
         """Ticks and states that are not in the chunk yet."""
-        self._tick_channel = self._channel(row_channel(TICK, controller_internals))
+        self._tick_channel = self._channel(row_channel(TICK, internals))
         self._truth_channel = -1
         self._event_channel = self._channel(event_channel())
-        self._parameter_channel = self._channel(parameter_channel())
+        self._parameter_channel = self._channel(parameter_channel(gains))
 
     def __enter__(self) -> Self:
         return self

@@ -17,6 +17,7 @@ from inteco_abs.config import RigConfig, parse_config
 from inteco_abs.errors import ConfigError, SessionError
 from inteco_abs.format import IO_TOPIC, LOG_TOPIC, TICK, TRUTH, Message
 from inteco_abs.sessions.card import RunningCard
+from inteco_abs.sessions.channels import gains_of, internals_of
 from inteco_abs.sessions.container import (
     DamagedError,
     DecompressionBudget,
@@ -259,11 +260,16 @@ class _RecoveredSession:
         """Write the file atomically."""
         session = self._facts.get("session", {})
         start_ns = self._ticks.first_ns
-        internals = self._internals()
         with (
             atomic_write(self._out) as part,
             FileWriter(
-                part, start_ns, internals, session.get("session_id", ""), self._epoch_ns, durable=True
+                part,
+                start_ns,
+                session.get("session_id", ""),
+                self._epoch_ns,
+                internals=internals_of(self._content.channel_facts),
+                gains=gains_of(self._content.channel_facts),
+                durable=True,
             ) as recorder,
         ):
             self._write_header(recorder)
@@ -295,14 +301,6 @@ class _RecoveredSession:
                 if recorded
                 else "no hash says that these are all of the ticks"
             )
-
-    def _internals(self) -> list[str]:
-        """Names of c0..c3, if their channel's declaration is intact."""
-        try:
-            names = json.loads(self._content.channel_facts[TICK.topic]["internals"])
-        except (KeyError, ValueError, RecursionError):
-            return []
-        return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
 
     def _write_header(self, recorder: FileWriter) -> None:
         for name, attached in self._content.attachments.items():

@@ -12,6 +12,7 @@ from inteco_abs.boards import simulated
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import CaptureError
 from inteco_abs.format import TICK, TRUTH
+from inteco_abs.quantities import Quantity
 from inteco_abs.rig import nominal_parameters
 from inteco_abs.sessions.card import RunningCard
 from inteco_abs.sessions.content import CONFIG_NAME, CONTROLLER_FILES, CONTROLLER_SOURCE
@@ -41,10 +42,12 @@ class RunHeader:
     """What the board reports about itself."""
     virtual: bool
     gains: Mapping[str, float]
-    internals: Sequence[str]
-    """Names of the controller's values c0..c3."""
+    internals: Sequence[Quantity]
+    """The controller's values in c0..c3."""
     controller_source: bytes
     """With the files beside it, as `SourceFiles.packed` has them; empty for a shipped controller."""
+    declared: Sequence[Quantity] = ()
+    """Units and meanings of the gains."""
     facts: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     """More metadata: software, host, real-time settings."""
     controller_package: str = ""

@@ -10,7 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from inteco_abs.errors import AbsError, ConfigError, near_match
-from inteco_abs.format import TICK, TRUTH, Column
+from inteco_abs.format import INTERNALS, TICK, TRUTH, Column, Message
+from inteco_abs.quantities import Quantity
+from inteco_abs.sessions.channels import internals_of
 from inteco_abs.sessions.reader import Session
 from inteco_abs.sessions.rows import joined_rows
 
@@ -20,15 +22,7 @@ _EVENT_COLUMNS: Final = {
     "time_ns": ("ns", "monotonic clock, as in the tick"),
     "unix_ns": ("ns", "wall clock, since 1970"),
     "level": ("1", "2 information, 3 warning, 4 error"),
-    "text": ("text", "what happened"),
-}
-
-
-_COLUMN_COLUMNS: Final = {
-    "table": "which file the column is in",
-    "column": "its name there",
-    "unit": "of its values, as in UCUM",
-    "meaning": "what they are",
+    "text": ("", "what happened"),
 }
 
 
@@ -36,14 +30,14 @@ class Table(NamedTuple):
     """Rows of one kind in a session, in order of time."""
 
     name: str
-    """`tick`, `truth` or `events`; `columns` of these."""
+    """`tick`, `truth` or `events`."""
     dtype: np.dtype[np.void]
     number: int
     """Number of rows."""
     blocks: Callable[[], Iterator[npt.NDArray[np.void]]]
     """All rows in blocks; may raise SessionError."""
     units: dict[str, str]
-    """Units by column, as in UCUM; `1` has no dimension, `text` is not a unit."""
+    """Units by column, as in UCUM; `1` has no dimension, empty is a text, or unknown."""
     meanings: dict[str, str]
 
     @classmethod
@@ -64,32 +58,54 @@ class Table(NamedTuple):
 
 
 def tables(session: Session) -> list[Table]:
-    """Table `tick`, then `truth` and `events` unless they are empty."""
+    """Table `tick`, then `truth` and `events` unless they are empty.
+
+    The controller's internals have their own names instead of `c0` and so on, unless another column has them.
+    """
     found = [
         Table(
             name,
-            message.dtype,
+            _named_as(message.dtype, columns),
             session.rows.numbers[message.topic],
-            partial(_blocks, session, at),
-            {column.name: column.unit for column in message.columns},
-            {column.name: _meaning(column) for column in message.columns},
+            partial(_blocks, session, at, columns),
+            {column.name: column.unit for column in columns},
+            {column.name: column.meaning for column in columns},
         )
         for at, (name, message) in enumerate({"tick": TICK, "truth": TRUTH}.items())
+        for columns in (_columns(message, session),)
     ]
     return [table for table in (*found, _events(session)) if table.name == "tick" or table.number]
 
 
-def _blocks(session: Session, at: int) -> Iterator[npt.NDArray[np.void]]:
-    return (block[at] for block in session.blocks(BLOCK_ROWS))
+def _columns(message: Message, session: Session) -> list[Quantity]:
+    columns = {column.name: Quantity(column.name, column.unit, _meaning(column)) for column in message.columns}
+    if message is TICK:
+        for column, internal in zip(INTERNALS, internals_of(session.channels), strict=False):
+            if internal.name.isidentifier() and internal.name not in {each.name for each in columns.values()}:
+                columns[column] = internal
+            elif internal.name:
+                columns[column] = Quantity(column, internal.unit, f"{internal.name}: {internal.meaning}")
+    return list(columns.values())
 
 
-def columns_of(found: Sequence[Table]) -> Table:
-    """Table of the columns' units and meanings, for formats that cannot hold them."""
-    lines = [(table.name, name, unit, table.meanings[name]) for table in found for name, unit in table.units.items()]
-    widths = [max(map(len, texts)) for texts in zip(*lines, strict=True)]
-    names = tuple(_COLUMN_COLUMNS)
-    rows = np.array(lines, [(name, f"<U{width}") for name, width in zip(names, widths, strict=True)])
-    return Table.of("columns", rows, dict.fromkeys(names, "text"), dict(_COLUMN_COLUMNS))
+def _named_as(dtype: np.dtype[np.void], columns: Sequence[Quantity]) -> np.dtype[np.void]:
+    """The same layout with other names."""
+    known: Any = dtype.fields
+    fields = [known[name] for name in dtype.names or ()]
+    names, formats, offsets = (
+        [each.name for each in columns],
+        [each[0] for each in fields],
+        [each[1] for each in fields],
+    )
+    layout: np.dtype[np.void] = np.dtype(
+        {"names": names, "formats": formats, "offsets": offsets, "itemsize": dtype.itemsize}
+    )
+    return layout
+
+
+def _blocks(session: Session, at: int, columns: Sequence[Quantity]) -> Iterator[npt.NDArray[np.void]]:
+    for block in session.blocks(BLOCK_ROWS):
+        yield block[at].view(_named_as(block[at].dtype, columns))
 
 
 def to_pandas(session: Session, table: str = "tick") -> Any:

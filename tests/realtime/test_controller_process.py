@@ -118,7 +118,7 @@ def test_it_answers_with_the_same_bits_as_in_this_process(law):
         assert answer == expected
         assert all(type(value) is float for value in (*answer[:3], *answer.internals))
     assert process.gains == (Gain("duty", 0.7, 0.0, 1.0, "1", "of the brake"),)
-    assert process.internals == ("calls", "road")
+    assert [each.name for each in process.internals] == ["calls", "road"]
 
 
 @pytest.mark.usefixtures("patient")

@@ -140,13 +140,16 @@ def test_a_viewer_that_comes_late_gets_every_event_however_short(memory, job, lo
 
 def test_parameters_and_names_of_internals_come_once_the_board_has_answered(memory, job):
     with live_view(memory, job), watching(memory.words[Field.LIVE_PORT], "/abs/params") as viewer:
-        memory.post(Mailbox.HEADER, {"gains": {"Mk": 2.5}, "internals": ["f", "g"]})
+        memory.post(
+            Mailbox.HEADER, {"gains": {"Mk": 2.5}, "internals": ["f", "g"], "declared": [["Mk", "1/s", "rate"]]}
+        )
         _, _, data = viewer.next_of("/abs/params")
         assert dict(viewer.decode(data, "/abs/params").values) == {"Mk": 2.5, "reference_slip": 0.2}
         with watching(memory.words[Field.LIVE_PORT], "/abs/params") as other:
             assert other.next_of("/abs/params")[2] == data
             facts = other.info["metadata"]
     assert facts["/abs/tick internals"] == '["f", "g"]'
+    assert json.loads(facts["/abs/params units"])["Mk"] == "1/s"
     assert json.loads(facts["/abs/tick units"])["torque_demand_nm"] == "N.m"
 
 

@@ -68,7 +68,9 @@ def test_before_the_first_tick_it_introduces_itself_and_at_the_end_it_concludes(
     posted = process.memory.note(Mailbox.HEADER)
     assert posted["identity"]["application_name"] == "ABSSIM"
     assert posted["gains"] == gains_in_force(config)
-    assert posted["internals"] == list(CONTROLLERS[config.controller.name].internals)
+    law = CONTROLLERS[config.controller.name]
+    assert posted["internals"] == [list(each) for each in law.internals]
+    assert posted["declared"] == [[gain.name, gain.unit, gain.meaning] for gain in law.gains]
     assert (posted["settings"], posted["pace"]) == ([SETTING._asdict()], {})
     assert process.memory.image(Mailbox.SAFE_IMAGE)
     assert process.tunings == ["the loop's"]

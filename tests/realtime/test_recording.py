@@ -125,7 +125,7 @@ class Crash:
     def _record(self, run):
         if self._writer is None:
             posted, job = run.introduction, run.job
-            self._recorder = self._stack.enter_context(FileWriter(job.path, 0, posted["internals"], job.session_id))
+            self._recorder = self._stack.enter_context(FileWriter(job.path, 0, job.session_id))
             introduction = RunHeader(job.board, posted["identity"], False, posted["gains"], posted["internals"], b"")
             self._writer = SessionWriter(self._recorder, job.config, introduction)
             self._writer.write_header()

@@ -96,7 +96,7 @@ def test_an_unknown_rig_leaves_no_file(tmp_path, run_at, virtual):
 
 def test_what_is_said_of_a_simulated_rig_is_not_said_of_a_real_one(tmp_path):
     config = load_config(settings=[RIG, "profile=usb2_generic_0103", "simulation.counts_per_turn=2048"])
-    with FileWriter(tmp_path / "stop.mcap", 0, []) as recorder:
+    with FileWriter(tmp_path / "stop.mcap", 0) as recorder:
         scribe = SessionWriter(recorder, config, RunHeader("usb2:", {}, False, {}, [], b""))
         scribe.write_header()
         card = scribe.finish(RunEnd(Reason.NONE, 0)).card

@@ -3,6 +3,7 @@
 import csv
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -11,8 +12,11 @@ import pyarrow.parquet as pq
 import pytest
 import scipy.io
 
+from inteco_abs.control import CONTROLLERS
 from inteco_abs.errors import AbsError, ConfigError, SessionError
-from inteco_abs.sessions import FORMATS, export_session, tables, to_pandas, to_polars
+from inteco_abs.quantities import Quantity
+from inteco_abs.sessions import FORMATS, export_session, gains_of, tables, to_pandas, to_polars
+from inteco_abs.signals import BrakeDemand, Phase
 
 COLUMN_COUNTS = {"tick": 28, "truth": 8, "events": 4}
 
@@ -50,7 +54,7 @@ def test_events_are_on_the_clock_of_the_ticks(quick):
 
 def test_rows_are_exported_as_csv(exported):
     expected, files = exported("csv")
-    names = ["stop.csv", "stop.truth.csv", "stop.events.csv", "stop.columns.csv"]
+    names = ["stop.csv", "stop.truth.csv", "stop.events.csv", "stop.csv-metadata.json"]
     assert [path.name for path in files.values()] == names
     for name, table in expected.items():
         with files[name].open(encoding="utf-8", newline="") as file:
@@ -64,17 +68,89 @@ def test_rows_are_exported_as_csv(exported):
             assert same(exact, wanted), column
 
 
-def test_csv_has_unit_and_meaning_of_every_column_in_a_file_beside_it(exported):
+def test_csv_has_the_metadata_and_every_unit_and_meaning_in_a_file_beside_it(exported, quick):
     expected, files = exported("csv")
-    with files["columns"].open(encoding="utf-8", newline="") as file:
-        found = [(row["table"], row["column"], row["unit"], row["meaning"]) for row in csv.DictReader(file)]
-    assert found == [
-        (table.name, name, unit, table.meanings[name])
-        for table in expected.values()
-        for name, unit in table.units.items()
-    ]
-    assert ("tick", "brake_torque_nm") not in [row[:2] for row in found]
-    assert ("truth", "brake_torque_nm", "N.m") in [row[:3] for row in found]
+    content = json.loads(files["metadata"].read_text(encoding="utf-8"))
+    assert content["@context"] == "http://www.w3.org/ns/csvw"
+    for described, (name, table) in zip(content["tables"], expected.items(), strict=True):
+        columns = described["tableSchema"]["columns"]
+        with (files[name].parent / described["url"]).open(encoding="utf-8", newline="") as file:
+            assert next(csv.reader(file)) == [column["titles"] for column in columns]
+        assert {column["name"]: column.get("schema:unitText", "") for column in columns} == table.units
+        assert {column["name"]: column["dc:description"] for column in columns} == table.meanings
+    types = {column["name"]: column["datatype"] for column in content["tables"][0]["tableSchema"]["columns"]}
+    assert (types["slip"], types["tick"], types["estimate_valid"]) == ("double", "integer", "boolean")
+    facts = {each["schema:name"]: each["schema:value"] for each in content["schema:additionalProperty"]}
+    assert facts["session.outcome"] == "completed"
+    assert float.fromhex(facts["controller.gain.Mk.hex"]) == 2.0
+    assert int(facts["epoch.unix_ns"]) == quick.session.epoch_ns
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_internals_have_the_names_units_and_meanings_that_their_law_declares(exported, form):
+    expected, files = exported(form)
+    table = expected["tick"]
+    slip_rate = table.column("f_per_s")
+    assert slip_rate[table.column("phase") == Phase.BRAKING].any()
+    match form:
+        case "csv":
+            content = json.loads(files["metadata"].read_text(encoding="utf-8"))
+            columns = {column["name"]: column for column in content["tables"][0]["tableSchema"]["columns"]}
+            units = {name: column.get("schema:unitText") for name, column in columns.items()}
+            meaning = columns["f_per_s"]["dc:description"]
+            found = np.genfromtxt(files["tick"], delimiter=",", names=True)["f_per_s"]
+        case "npz":
+            with np.load(files["tick"]) as archive:
+                units, meanings = (json.loads(str(archive[name]))["tick"] for name in ("units", "meanings"))
+                meaning, found = meanings["f_per_s"], archive["tick"]["f_per_s"]
+        case "mat":
+            content = scipy.io.loadmat(files["tick"], simplify_cells=True)
+            units, meaning = content["units"]["tick"], content["meanings"]["tick"]["f_per_s"]
+            found = content["tick"]["f_per_s"]
+        case "parquet":
+            content = pq.read_table(files["tick"])
+            units = {field.name: field.metadata[b"unit"].decode() for field in content.schema}
+            meaning = content.schema.field("f_per_s").metadata[b"meaning"].decode()
+            found = content["f_per_s"].to_numpy()
+    assert same(found, slip_rate)
+    assert (units["f_per_s"], units["g_per_s_nm"], units["torque_eq_nm"]) == ("1/s", "1/(s.N.m)", "N.m")
+    assert "without brake torque" in meaning
+    assert "c3" in units
+    assert "c0" not in units
+
+
+class Named:
+    gains = ()
+    internals = ("own", Quantity("slip", "1", "own slip"), "", Quantity("two words", "N.m", "a torque"))
+
+    def __init__(self, setup):
+        pass
+
+    def update(self, *_):
+        return BrakeDemand(0.5, internals=(1.0, 2.0, 3.0, 4.0))
+
+
+def test_a_name_that_is_taken_or_no_name_stays_in_the_meaning(run):
+    session = run("controller.name='named'", controllers={**CONTROLLERS, "named": Named}).session
+    table = tables(session)[0]
+    braking = table.column("phase") == Phase.BRAKING
+    columns = ("own", "c1", "c2", "c3")
+    assert [table.column(name)[braking].max() for name in columns] == [1.0, 2.0, 3.0, 4.0]
+    assert [table.units[name] for name in columns] == ["", "1", "", "N.m"]
+    assert table.meanings["c1"] == "slip: own slip"
+    assert table.meanings["c3"] == "two words: a torque"
+    assert table.units["slip"] == "1"
+    assert to_pandas(session).attrs["units"] == table.units
+    assert "own" in to_polars(session).columns
+
+
+def test_units_of_internals_that_an_older_session_did_not_declare_are_unknown(quick):
+    channel = {"units": '{"c0": "1"}', "describe": '{"c0": "controller internal"}', "internals": '["f_per_s"]'}
+    older = replace(quick.session, channels={"/abs/tick": channel})
+    assert tables(older)[0].units["f_per_s"] == ""
+    for damaged in ("{", "3", "[[1]]", '{"c0": 3}', "[" * 100_000):
+        assert gains_of({"/abs/params": {"units": damaged}}) == ()
+        assert "c0" in tables(replace(older, channels={"/abs/tick": {"internals": damaged}}))[0].units
 
 
 def test_npz(exported):
@@ -95,7 +171,7 @@ def test_mat(exported):
     for name, table in expected.items():
         for column in table.units:
             assert same(content[name][column], table.column(column)), column
-            assert content["units"][name][column] == table.units[column]
+            assert "".join(content["units"][name][column]) == table.units[column]
     assert json.loads(content["metadata"])["controller"]["name"] == "reaching-law"
 
 
@@ -119,7 +195,7 @@ def test_a_cut_session_is_exported_as_far_as_it_goes(quick, altered, tmp_path, f
 @pytest.mark.parametrize("form", FORMATS)
 def test_a_session_without_truth_or_events_has_no_such_tables(altered, short, tmp_path, form, before_its_ticks):
     made = export_session(altered(before_its_ticks(short.read_bytes())), form, tmp_path / f"empty.{form}")
-    assert [written.tables for written in made.files] == [("tick",), *([("columns",)] if form == "csv" else [])]
+    assert [written.tables for written in made.files] == [("tick",), *([("metadata",)] if form == "csv" else [])]
     assert made.files[0].rows == 0
 
 

@@ -1,8 +1,10 @@
 import pytest
 
-from inteco_abs.sessions import TICK, TRUTH, FileWriter, read_session
+from inteco_abs.quantities import Quantity
+from inteco_abs.sessions import TICK, TRUTH, FileWriter, gains_of, internals_of, read_session
 from inteco_abs.signals import Phase, Tick
 
+RATE, GAIN = Quantity("f", "1/s", "rate"), Quantity("Mk", "1/s", "proportional")
 NOTE = "überprüft: 2 µm, 制动"
 
 
@@ -16,7 +18,7 @@ def written(tmp_path_factory, quick):
         for number, phase in enumerate([Phase.IDLE, Phase.IDLE, Phase.BRAKING, Phase.DONE])
     ]
     truths = [(tick.time_ns, 1.0, 2.0, tick.slip, 3.0, 0.5, 0.25, 0.3) for tick in ticks]
-    with FileWriter(path, 0, ("f",)) as recorder:
+    with FileWriter(path, 0, internals=[RATE], gains=[GAIN]) as recorder:
         recorder.describe("rig", {"note": NOTE, "": "empty key", "empty value": ""})
         recorder.attach("config.toml", "application/toml", NOTE.encode())
         recorder.attach("empty", "application/octet-stream", b"")
@@ -51,6 +53,8 @@ def test_channels_come_back(written):
     channels = read_session(written[0]).channels
     assert channels.keys() == {"/abs/tick", "/abs/event", "/abs/params", "/abs/result", "/sim/truth"}
     assert channels["/abs/tick"]["internals"] == '["f"]'
+    assert internals_of(channels) == (RATE,)
+    assert GAIN in gains_of(channels)
 
 
 def test_events_are_counted(written):

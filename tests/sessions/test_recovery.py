@@ -9,7 +9,18 @@ import zlib
 import pytest
 
 from inteco_abs.errors import ConfigError, SessionError
-from inteco_abs.sessions import TICK, FileWriter, content, read_session, recover_session, recovery, validate
+from inteco_abs.quantities import Quantity
+from inteco_abs.sessions import (
+    TICK,
+    FileWriter,
+    content,
+    gains_of,
+    internals_of,
+    read_session,
+    recover_session,
+    recovery,
+    validate,
+)
 from inteco_abs.sessions.file_writer import utc
 from inteco_abs.sessions.migration import message_layout
 
@@ -270,12 +281,15 @@ def test_truths_behind_the_last_tick_are_kept(rescue, short, tmp_path):
 def test_the_controllers_internals_keep_their_names(rescue, short, tmp_path):
     names = ["s", "sigma", "", "c3"]
     session = read_session(short)
-    with FileWriter(tmp_path / "named.mcap", int(session.ticks["time_ns"][0]), names) as recorder:
+    declared = [Quantity(name, "N.m", "a torque") for name in names]
+    start_ns, gains = int(session.ticks["time_ns"][0]), [Quantity("Mk", "1/s", "a rate")]
+    with FileWriter(tmp_path / "named.mcap", start_ns, internals=declared, gains=gains) as recorder:
         recorder.begin({})
         recorder.ticks(session.ticks.tobytes())
         recorder.flush()
     recovered = rescue((tmp_path / "named.mcap").read_bytes())[1]
-    assert json.loads(recovered.channels[TICK.topic]["internals"]) == names
+    assert internals_of(recovered.channels) == tuple(declared)
+    assert gains[0] in gains_of(recovered.channels)
 
 
 def test_the_metrics_are_those_of_the_original(quick, altered, tmp_path):

@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Final, NamedTuple, Protocol
 from inteco_abs import elementary
 from inteco_abs.control.functions import Function
 from inteco_abs.control.slip_dynamics import BrakingModel, SlipConstants, slip_terms
+from inteco_abs.quantities import Quantity
 from inteco_abs.rig import MEASURED_MAP, BrakeMap, RigParameters, brake_duty, brake_torque
 from inteco_abs.signals import BrakeDemand, Estimate
 
@@ -28,8 +29,13 @@ class Gain(NamedTuple):
     high: float
     """Largest value."""
     unit: str
-    """Such as `1/s`; `1` for a number without a unit."""
+    """As in UCUM, such as `1/s` or `N.m`; `1` for a number without a dimension."""
     meaning: str
+
+    @property
+    def quantity(self) -> Quantity:
+        """Without its values."""
+        return Quantity(self.name, self.unit, self.meaning)
 
 
 LAG: Final = Gain("lag_s", 0.0, 0.0, 0.2, "s", "lag of the brake to be inverted; 0: no lag")
@@ -53,8 +59,8 @@ class Controller(Protocol):
     """Demands a brake duty while the experiment is braking; no clock, no I/O, no randomness."""
 
     gains: ClassVar[tuple[Gain, ...]]
-    internals: ClassVar[tuple[str, ...]]
-    """Names of up to four values that `BrakeDemand.internals` carries into the log, with units."""
+    internals: ClassVar[tuple[Any, ...]]
+    """Up to four values that `BrakeDemand.internals` carries into the log: each a `Quantity`, or its name."""
 
     def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:
         """Demand for the next period; `dt_s` is the time since the previous sample."""
@@ -142,7 +148,11 @@ class ModelLaw(LawState):
     """
 
     gains: ClassVar[tuple[Gain, ...]] = (LAG,)
-    internals: ClassVar[tuple[str, ...]] = ("f_per_s", "g_per_s_nm", "torque_eq_nm", "")
+    internals: ClassVar[tuple[Quantity, ...]] = (
+        Quantity("f_per_s", "1/s", "rate of the slip without brake torque, f in (16)"),
+        Quantity("g_per_s_nm", "1/(s.N.m)", "rate of the slip per brake torque, g in (17)"),
+        Quantity("torque_eq_nm", "N.m", "torque that would hold the slip, -f/g"),
+    )
     _rate: ClassVar[Function] = staticmethod(_approach)
     """Rate in use: that of the function, unless a subclass has its own `approach`."""
     _shipped_rate: ClassVar[Function]

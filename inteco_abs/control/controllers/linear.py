@@ -7,6 +7,7 @@ from typing import ClassVar
 
 from inteco_abs.control.controllers.base import Gain, Setup
 from inteco_abs.control.functions import Function
+from inteco_abs.quantities import Quantity
 from inteco_abs.signals import BrakeDemand, Estimate
 
 
@@ -50,7 +51,7 @@ class ProportionalIntegral(LinearState):
         Gain("Ki", 5.0, 0.0, 1000.0, "1/s", "integral"),
         Gain("bias", 0.6, 0.0, 1.0, "1", "duty at no error, near what holds the slip"),
     )
-    internals: ClassVar[tuple[str, ...]] = ("integral_duty",)
+    internals: ClassVar[tuple[Quantity, ...]] = (Quantity("integral_duty", "1", "integral of the slip error, a duty"),)
 
     def __init__(self, setup: Setup, Kp: float, Ki: float, bias: float) -> None:
         super().__init__(reference=setup.reference_slip)
@@ -98,7 +99,7 @@ class Steps(StepsState):
         Gain("rise", 0.0, -1.0, 1.0, "1", "added from step to step"),
         Gain("length_s", 1.0, 0.001, 60.0, "s", "of each step"),
     )
-    internals: ClassVar[tuple[str, ...]] = ()
+    internals: ClassVar[tuple[Quantity, ...]] = ()
 
     def __init__(self, setup: Setup, first: float, rise: float, length_s: float) -> None:
         super().__init__(reference=setup.reference_slip)

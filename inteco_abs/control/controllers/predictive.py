@@ -11,6 +11,7 @@ from inteco_abs.control.controllers.base import Gain, Setup
 from inteco_abs.control.estimators.prediction import NOT_A_SLIP, braking_slip
 from inteco_abs.control.functions import Function
 from inteco_abs.control.wheel_dynamics import WheelConstants, WheelDynamics, demanded_torque
+from inteco_abs.quantities import Quantity
 from inteco_abs.rig.brake_map import Points, inverse
 from inteco_abs.rig.friction import formula
 from inteco_abs.signals import BrakeDemand, Estimate
@@ -125,11 +126,11 @@ class PredictiveReaching(PredictiveState):
         Gain("a_most", 500.0, 0.1, 100_000.0, "1/s2", "limit of that growth"),
         Gain("kM", 400.0, 1.0, 10_000.0, "1/s", "rate at which the torque closes in on the law's"),
     )
-    internals: ClassVar[tuple[str, ...]] = (
-        "excess_torque_nm",
-        "adhesion_factor",
-        "brake_dead_time_s",
-        "brake_lag_s",
+    internals: ClassVar[tuple[Quantity, ...]] = (
+        Quantity("excess_torque_nm", "N.m", "torque beyond the brake's static map, as estimated"),
+        Quantity("adhesion_factor", "1", "adhesion over that of the nominal curve, as estimated"),
+        Quantity("brake_dead_time_s", "s", "dead time of the brake, as estimated"),
+        Quantity("brake_lag_s", "s", "lag of the rising brake, as estimated"),
     )
     estimator: ClassVar[str] = "observer"
 

@@ -7,6 +7,7 @@ from typing import ClassVar, Final
 
 from inteco_abs.control.controllers.base import Gain, Setup
 from inteco_abs.control.functions import Function
+from inteco_abs.quantities import Quantity
 from inteco_abs.signals import BrakeDemand, Estimate
 
 _MOST_RATE_HZ: Final = 10_000.0
@@ -50,7 +51,7 @@ class Relay(RelayState):
 
     function: ClassVar[Function] = staticmethod(relay)
     gains: ClassVar[tuple[Gain, ...]] = _LEVELS
-    internals: ClassVar[tuple[str, ...]] = ()
+    internals: ClassVar[tuple[Quantity, ...]] = ()
 
     def __init__(self, setup: Setup, on_duty: float, off_duty: float) -> None:
         super().__init__(reference=setup.reference_slip)
@@ -137,7 +138,7 @@ class SmithRelay(SmithState):
         Gain("rise_per_s", 11.0, 0.0, 100.0, "1/s", "slip rate with the brake on"),
         Gain("fall_per_s", 1.74, 0.0, 100.0, "1/s", "slip rate with the brake off, downwards"),
     )
-    internals: ClassVar[tuple[str, ...]] = ("slip_expected",)
+    internals: ClassVar[tuple[Quantity, ...]] = (Quantity("slip_expected", "1", "slip at the end of the dead time"),)
 
     def __init__(
         self,

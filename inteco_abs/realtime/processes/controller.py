@@ -28,6 +28,7 @@ from typing import IO, Any, Final, cast
 from inteco_abs.control import CONTROLLERS, Controller, Gain, Setup, demand_of
 from inteco_abs.errors import BoardError, ConfigError, ConfigIssue, ControllerError, describe_error
 from inteco_abs.plugins import FROM_FILE, LOADING_MOST_S, Controllers, late_files, load_controller, with_files
+from inteco_abs.quantities import quantities
 from inteco_abs.realtime.heartbeat import NO_MORE
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.processes import ENTRY
@@ -79,7 +80,7 @@ class IsolatedController:
             self.close()
             raise
         self.gains = tuple(Gain(*gain) for gain in declared["gains"])
-        self.internals: tuple[str, ...] = tuple(declared["internals"])
+        self.internals = quantities(declared["internals"])
 
     def __call__(self, setup: Setup, **gains: float) -> Controller:
         """Make the controller. Raises ControllerError with what its constructor raises."""

@@ -15,6 +15,7 @@ from inteco_abs.boards import Wrap, open_board, simulated
 from inteco_abs.control import Controller, build_pipeline, gains_in_force
 from inteco_abs.errors import AbsError
 from inteco_abs.format import pack_tick
+from inteco_abs.quantities import quantities
 from inteco_abs.realtime.clock import PacedClock
 from inteco_abs.realtime.failure_rules import LOOPS_WINDOW_NS
 from inteco_abs.realtime.frame_spool import saving_frames
@@ -117,10 +118,12 @@ def _hold(memory: RunMemory, job: Job, around: Wrap, controllers: Mapping[str, t
         settings = apply(loop_tuning())
         pace = {} if simulated(job.board) else require_rate(board, config.period_ns)
         watchdog = prove_watchdog(board, config.period_ns, time.sleep)
+        controller = controllers[config.controller.name]
         header = {
             "identity": identity.facts() | watchdog,
             "gains": gains_in_force(config, controllers),
-            "internals": list(controllers[config.controller.name].internals),
+            "internals": quantities(controller.internals),
+            "declared": [gain.quantity for gain in controller.gains],
             "settings": [setting._asdict() for setting in settings],
             "pace": pace,
         }

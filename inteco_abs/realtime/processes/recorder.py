@@ -21,6 +21,7 @@ from typing import Any, Final
 from inteco_abs.boards import STILL_ON
 from inteco_abs.config import parse_config
 from inteco_abs.errors import AbsError, SessionError
+from inteco_abs.quantities import quantities
 from inteco_abs.realtime.alarm import Alarm
 from inteco_abs.realtime.frame_spool import spooled_frames
 from inteco_abs.realtime.heartbeat import beating
@@ -109,7 +110,8 @@ def _opener(memory: RunMemory, job: Job, header: RunHeader, start_ns: int) -> Op
     return partial(
         FileWriter,
         start_ns=start_ns,
-        controller_internals=header.internals,
+        internals=header.internals,
+        gains=header.declared,
         session_id=job.session_id,
         epoch_ns=memory.words[Field.EPOCH_NS],
         durable=True,
@@ -224,7 +226,8 @@ def _header(memory: RunMemory, job: Job) -> RunHeader | None:
         identity=header["identity"],
         virtual=job.virtual,
         gains=header["gains"],
-        internals=header["internals"],
+        internals=quantities(header["internals"]),
+        declared=quantities(header.get("declared", ())),
         controller_source=job.controller_source,
         controller_package=job.controller_package,
         facts={**job.facts, "realtime": settings | header.get("pace", {}) | (memory.note(Mailbox.DRILL) or {})},
