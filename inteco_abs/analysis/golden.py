@@ -29,7 +29,6 @@ from inteco_abs.control import Controller, build_pipeline, control_check
 from inteco_abs.errors import ConfigError, ConfigIssue, SessionError, describe_disk, near_match
 from inteco_abs.format import TICK, TRUTH, Role
 from inteco_abs.sessions import (
-    CONFIG_NAME,
     FileWriter,
     Session,
     ensured_directory,
@@ -309,7 +308,7 @@ def _write_copy(session: Session, payload: bytes, path: Path) -> None:
                 facts = session.metadata[name]
                 recorder.describe(name, {key: value for key, value in facts.items() if key not in _NOT_KEPT})
         for name, data in session.attachments.items():
-            recorder.attach(name, "application/toml" if name == CONFIG_NAME else "application/octet-stream", data)
+            recorder.attach(name, session.media_types.get(name, ""), data)
         values = {name: float(value) for name, value in recorded_gains(session).items()}
         recorder.begin({"reference_slip": config.controller.reference_slip, **values})
         recorder.ticks(payload)

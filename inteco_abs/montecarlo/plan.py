@@ -16,7 +16,7 @@ from inteco_abs.montecarlo.grid import Combination
 from inteco_abs.montecarlo.policies import ConfiguredPolicy
 from inteco_abs.montecarlo.samples import SampleSet, parse_draws
 from inteco_abs.plugins import Controllers
-from inteco_abs.version import SOURCE_FOLDER, __version__
+from inteco_abs.version import __version__, source_sha256
 
 RUN_UP_RAD_S: Final = 15.0
 """Below the start speed: nearly a second of driving, in which estimators settle and learn."""
@@ -91,7 +91,7 @@ class SweepPlan:
     def description(self) -> dict[str, Any]:
         """All that the result depends on, for JSON."""
         return {
-            "program": {"version": __version__, "source_sha256": _program()},
+            "program": {"version": __version__, "source_sha256": source_sha256()},
             "packages": _packages(tuple({one.config.controller.name: None for one in self.grid})),
             "controllers": {name: source.decode("utf-8", "surrogateescape") for name, source in self.sources.items()},
             "draws": [draws.name for draws in self.draws],
@@ -131,7 +131,7 @@ class SweepPlan:
             raise mistake("is not the description of a sweep") from error
         if program != plan.description["program"]:
             theirs = f"{program['version']} (sources {program['source_sha256'][:12]})"
-            ours = f"{__version__} (sources {_program()[:12]})"
+            ours = f"{__version__} (sources {source_sha256()[:12]})"
             problem = f"made by inteco-abs {theirs}, and this is {ours}, whose numbers may differ"
             raise mistake(f"{problem}: use that one, or begin a new folder")
         if packages != plan.description["packages"]:
@@ -144,17 +144,6 @@ class SweepPlan:
 def _digest(description: Mapping[str, Any]) -> str:
     text = json.dumps(description, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-@cache
-def _program() -> str:
-    """SHA-256 of the package's sources: while a version is developed, it says less than they do."""
-    files = sorted(SOURCE_FOLDER.rglob("*.py"), key=lambda file: file.relative_to(SOURCE_FOLDER).as_posix())
-    found = hashlib.sha256()
-    for file in files:
-        found.update(f"{file.relative_to(SOURCE_FOLDER).as_posix()}\0{file.stat().st_size}\0".encode())
-        found.update(file.read_bytes())
-    return found.hexdigest()
 
 
 @cache

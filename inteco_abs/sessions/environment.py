@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple, Self
 
 from inteco_abs.sessions.provenance import git_command, is_source_tree
-from inteco_abs.version import SOURCE_FOLDER
+from inteco_abs.version import SOURCE_FOLDER, source_sha256
 
 MOST_DIFF_BYTES: Final = 1_000_000
 REQUIREMENTS_NAME: Final = "requirements.txt"
@@ -53,7 +53,7 @@ def current_environment() -> Environment:
     """The environment of this process."""
     packages = installed_packages()
     files = [Enclosure(REQUIREMENTS_NAME, "text/plain", packages)]
-    software = {"packages_sha256": hashlib.sha256(packages).hexdigest()}
+    software = {"packages_sha256": hashlib.sha256(packages).hexdigest(), "source_sha256": source_sha256()}
     diff, cut = uncommitted_changes(SOURCE_FOLDER)
     if diff:
         files.append(Enclosure(DIFF_NAME, "text/x-diff", diff))

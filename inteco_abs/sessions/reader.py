@@ -6,9 +6,9 @@ import math
 import os
 import struct
 import zlib
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
@@ -120,6 +120,8 @@ class Session:
     """Number of messages between host and board; `read_frames` reads them."""
     window_s: tuple[float, float] | None = None
     """First and last time of a part of a session, s since its first tick; None for a whole one."""
+    media_types: Mapping[str, str] = field(default_factory=dict)
+    """Media types of the attachments, by name."""
 
     @property
     def ticks(self) -> npt.NDArray[np.void]:
@@ -490,4 +492,5 @@ def _session(
         content.incomplete,
         content.unsupported,
         content.frames,
+        media_types={name: attached.media_type for name, attached in content.attachments.items()},
     )

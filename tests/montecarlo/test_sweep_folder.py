@@ -214,7 +214,7 @@ def test_a_description_that_was_changed_is_refused(begun, change, words):
 
 
 def test_the_description_of_another_program_is_refused(begun, monkeypatch):
-    monkeypatch.setattr("inteco_abs.montecarlo.plan._program", lambda: "0" * 64)  # as of a changed source
+    monkeypatch.setattr("inteco_abs.montecarlo.plan.source_sha256", lambda: "0" * 64)  # as of a changed source
     with pytest.raises(ConfigError, match=r"made by inteco-abs .*, and this is .* \(sources 000000000000\)"):
         SweepFolder.open(begun.path)
 

@@ -1,6 +1,7 @@
 import hashlib
 import json
 import os
+import shutil
 import subprocess
 import sys
 from importlib.metadata import version
@@ -18,6 +19,7 @@ from inteco_abs.sessions.environment import (
     uncommitted_changes,
 )
 from inteco_abs.sessions.provenance import profile_source
+from inteco_abs.version import SOURCE_FOLDER, source_sha256
 
 
 @pytest.fixture
@@ -123,3 +125,19 @@ def test_limits_and_physics_of_a_run_are_among_the_facts_about_the_rig(run):
     drawn = run('simulation.rig="hard:3"', name="drawn.mcap").session.metadata["rig"]
     assert drawn["drawn"] == "hard:3"
     assert "simulated_parameters" not in drawn
+
+
+def test_the_sources_have_one_hash_wherever_they_lie_and_another_once_they_are_changed(tmp_path):
+    assert current_environment().software["source_sha256"] == source_sha256()
+    for name in ("inteco_abs", "firmware_protocol"):  # as an installation: without git, with compiled files
+        shutil.copytree(SOURCE_FOLDER.parent / name, tmp_path / name)
+    code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from inteco_abs.version import *; print(SOURCE_FOLDER, "
+
+    def elsewhere():
+        command = [sys.executable, "-c", code + "source_sha256())"]
+        return subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
+
+    assert elsewhere() == [str(tmp_path / "inteco_abs"), source_sha256()]
+    with (tmp_path / "firmware_protocol" / "__init__.py").open("a") as file:
+        file.write("#")
+    assert elsewhere()[1] != source_sha256()

@@ -63,6 +63,8 @@ def test_a_copy_has_the_ticks_but_neither_truth_nor_host(folder, quick):
     assert "host" not in copy.metadata
     assert "argv" not in copy.metadata["software"]
     assert copy.attachments == original.attachments
+    assert copy.media_types == original.media_types
+    assert copy.media_types["requirements.txt"] == "text/plain"
     assert copy.metadata["controller"] == original.metadata["controller"]
     kept = ("session_id", "outcome", "reason")
     assert [copy.metadata["session"][key] for key in kept] == [original.metadata["session"][key] for key in kept]
