@@ -34,7 +34,7 @@ def annotate(
     """Describe a session afterwards.
 
     No tick changes, and the history keeps what stood there before. An empty text takes a value away. Without an option
-    it shows description and history. The file is written anew and then takes the old one's place.
+    it shows description and history. The file is written again and then takes the old one's place.
     """
     from inteco_abs.sessions import DESCRIPTION, HISTORY, open_session
     from inteco_abs.sessions import annotate as write

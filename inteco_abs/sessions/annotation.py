@@ -33,7 +33,7 @@ def annotate(path: Path, changes: Mapping[str, str], by: str, at_utc: str) -> Me
     """Give the description of the session at `path` other values; return the metadata that was written.
 
     `changes` are values by key of `description` in rig.toml, empty to take one away; `by` is who changes it, `at_utc`
-    the time. The file is written anew beside the old one and then takes its place. Raises SessionError for a file that
+    the time. The file is written again beside the old one and then takes its place. Raises SessionError for a file that
     is cut or damaged, or cannot be replaced.
     """
     if wrong := [issue for issue in validate(path).findings if issue.severity is Severity.WRONG]:

@@ -1,4 +1,4 @@
-"""Messages stand in the file by time, as viewers that play it want them, in whatever turns ticks and states come."""
+"""Messages stand in the file by time, as viewers that play it want them, however ticks and states come."""
 
 import itertools
 
