@@ -109,9 +109,11 @@ class _Syncing:
             wanted = self._asked
             self._change.notify_all()
             if wait:
-                self._change.wait_for(lambda: self._done >= wanted or self._error)
+                self._change.wait_for(lambda: self._done >= wanted or self._error or self._closed)
             if self._error is not None:
                 raise self._error
+            if wait and self._done < wanted:
+                raise OSError(errno.EBADF, "closed before its content was on the disk")
 
     def slow_syncs(self) -> list[tuple[int, int]]:
         with self._change:
@@ -136,6 +138,9 @@ class _Syncing:
                 self._error = error
                 self._change.notify_all()
         finally:
+            with self._change:  # so that no one waits for a thread that is gone
+                self._closed = True
+                self._change.notify_all()
             with suppress(OSError):
                 os.close(self._file)
 
