@@ -135,11 +135,16 @@ def _row(path: Path, metadata: Metadata, card: Mapping[str, Any]) -> CatalogueRo
         "injected": ", ".join(metadata.get("injected", {})) or None,
         "problem": newer(metadata) or None,
     }
-    gains = {name.removeprefix("gain."): value for name, value in controller.items() if name.startswith("gain.")}
+    gains = {
+        name.removeprefix("gain."): _value(value)
+        for name, value in controller.items()
+        if name.startswith("gain.") and not name.endswith(".hex")
+    }
     described = {key: _words(value) for key, value in metadata.get("description", {}).items() if value}
     more: CatalogueRow = {
         **{name: value for name, value in card.items() if isinstance(value, int | float) and name != "schema_version"},
-        **{name: _value(value) for name, value in gains.items() if not name.endswith(".hex")},
+        **gains,
+        "gains": ", ".join(gains) or None,
         "reference_slip": _value(controller.get("reference_slip")),
         "reason": session.get("reason"),
         "profile": rig.get("profile"),

@@ -16,7 +16,7 @@ from typing import Any, Final
 from inteco_abs.analysis.conditions import Condition
 from inteco_abs.errors import ConfigError, near_match
 
-_VERSION: Final = 1
+_VERSION: Final = 2
 """Of the rows; others are made again."""
 _WAIT_S: Final = 2.0
 """Time that another process may take to write."""

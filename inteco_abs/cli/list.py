@@ -44,6 +44,7 @@ _LATEST_OF_A_DATE: Final = len("2026-01-01T12:00:00")
 )
 @click.option("--columns", default="", metavar="KEY,KEY", help="Columns to show, as named in --json.")
 @click.option("--csv", "table", type=FILE, help="Also write one line per session (.csv).")
+@click.option("--html", "page", type=FILE, help="Also write a page with table, filter and curves (.html).")
 @json_option
 def list_sessions(
     folder: Path,
@@ -53,6 +54,7 @@ def list_sessions(
     where: str,
     columns: str,
     table: Path | None,
+    page: Path | None,
     as_json: bool,
 ) -> int:
     """List the sessions in a folder with their results.
@@ -63,8 +65,11 @@ def list_sessions(
     if a listed session is cut or damaged.
     """
     from inteco_abs.analysis import COLUMNS, session_rows, sort_rows
+    from inteco_abs.views.listing import check_listing, write_listing
 
     check_table(table)
+    if page is not None:
+        check_listing(page)
     rows = sort_rows(session_rows(folder, nested=recursive, where=where), key, reverse=reverse)
     chosen = [name.strip() for name in columns.split(",") if name.strip()]
     known = {*COLUMNS, *(name for row in rows for name in row)}
@@ -80,6 +85,9 @@ def list_sessions(
         say(f"inteco-abs: {folder}: no sessions{such} found{hint}", err=True)
     if table is not None:
         write_csv([{name: row.get(name) for name in chosen or row} for row in rows], table)
+    if page is not None:
+        write_listing(rows, page, chosen)
+        say(f"page: {page}", err=True)
     return LOSSES if any(row["problem"] for row in rows) else 0
 
 

@@ -118,7 +118,10 @@ def test_a_section_lists_its_keys(said, section):
         ("brake_limit", "did you mean guard.brake_limit?"),
         ("gard", "did you mean guard?"),
         ("", "KEY: is not a key of rig.toml; known: board, controller, "),
-        ("nonsense", "is not a key of rig.toml; known: board, controller, encoders, estimator, experiment, guard, "),
+        (
+            "nonsense",
+            "is not a key of rig.toml; known: board, controller, description, encoders, estimator, experiment, ",
+        ),
     ],
 )
 def test_an_unknown_key_is_reported_with_the_nearest(said, asked, hint):
