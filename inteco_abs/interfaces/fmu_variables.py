@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import ast
-import inspect
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import fields
-from itertools import pairwise
-from typing import Any, Final, NamedTuple, cast
+from typing import Any, Final, NamedTuple
 from xml.etree import ElementTree as ET
 
 from inteco_abs.c_code import initializer
 from inteco_abs.errors import AbsError
-from inteco_abs.rig import ENCODER_RANGES, RIG_RANGES, ROADS, DriveMotor, RigVariation
+from inteco_abs.rig import ENCODER_RANGES, RIG_RANGES, ROADS, DriveMotor, RigVariation, described
 from inteco_abs.version import __version__
 
 MODEL: Final = "inteco_abs_rig"
@@ -29,21 +25,6 @@ _UNITS: Final[dict[str, dict[str, int]]] = {
     "kg.m2": {"kg": 1, "m": 2},
     "N.m": {"kg": 1, "m": 2, "s": -2},
     "N.m.s": {"kg": 1, "m": 2, "s": -1},
-}
-_UNIT_OF: Final = {
-    name: unit
-    for unit, names in {
-        "m": "r1 r2 L",
-        "s": "brake_dead_time_s grip_step_after_s second_grip_step_after_s third_grip_step_after_s later_road_after_s "
-        "latch_jitter_s brake_release_delay_s",
-        "1/s": "c31",
-        "rad": "phi_rad load_ripple_phase_rad eccentricity_phase_rad second_harmonic_phase_rad damage_angle_rad",
-        "rad/s": "no_load_speed_rad_s",
-        "kg.m2": "J1 J2",
-        "N.m": "M10 M20 Mg b1 b2 stall_torque_nm brake_hysteresis_nm drive_residual_nm",
-        "N.m.s": "d1 d2",
-    }.items()
-    for name in names.split()
 }
 _SKIPPED: Final = ("parameters", "wheel_encoder", "road_encoder", "brake_map", "road", "later_road", "seed")
 _ANGLE: Final = (-1e6, 1e6)
@@ -133,26 +114,15 @@ def _start_speed(wheel: str) -> Variable:
 def _parameter(name: str, kind: str, meaning: str, start: object) -> Variable:
     field = name.rpartition(".")[2]
     limits = (0.0, math.inf) if kind in {"WORD", "FLAG"} else _RANGES[field]
-    return Variable(name, f"k.{name}", meaning, kind, "parameter", _UNIT_OF.get(field, ""), limits, start)
+    return Variable(name, f"k.{name}", meaning, kind, "parameter", "", limits, start)
 
 
 def _parameters(record: Any, prefix: str = "", skipped: tuple[str, ...] = ()) -> Iterator[Variable]:
-    """The numbers of a dataclass, each explained by its first sentence."""
-    meanings = _meanings(type(record))
-    for field in fields(record):
-        if field.name not in skipped:
-            meaning = meanings.get(field.name, "")
-            yield _parameter(prefix + field.name, _KINDS[str(field.type)], meaning, getattr(record, field.name))
-
-
-def _meanings(kind: type[Any]) -> dict[str, str]:
-    """The docstring below each field, on one line."""
-    body = cast(ast.ClassDef, ast.parse(inspect.getsource(kind)).body[0]).body
-    found = {}
-    for field, text in pairwise(body):
-        if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):
-            found[ast.unparse(field.target)] = " ".join(ast.literal_eval(text.value).split())
-    return found
+    """The numbers of a dataclass."""
+    for (name, unit, meaning), kind, value in described(record):
+        if name not in skipped:
+            found = _parameter(prefix + name, _KINDS[kind], meaning, value)
+            yield found._replace(unit=unit if unit in _UNITS else "")
 
 
 def model_description(version_of_fmi: str, token: str, found: list[Variable]) -> bytes:

@@ -4,6 +4,7 @@ from inteco_abs.rig.actuators import DriveMotor, brake_duty, brake_torque
 from inteco_abs.rig.adhesion_curve import AdhesionCurve, measured_adhesion, measured_adhesion_slope
 from inteco_abs.rig.brake_actuator import MEASURED_MAP, measured_duty, measured_torque, settled_torque
 from inteco_abs.rig.brake_map import BrakeMap
+from inteco_abs.rig.description import described
 from inteco_abs.rig.encoder import Encoder, noise_seed
 from inteco_abs.rig.friction import adhesion, adhesion_slope
 from inteco_abs.rig.model import Motion, accelerations, kinetic_energy, wheel_slip
@@ -47,6 +48,7 @@ __all__ = [
     "adhesion_slope",
     "brake_duty",
     "brake_torque",
+    "described",
     "draw",
     "holding_torque",
     "is_described",

@@ -20,6 +20,7 @@ from inteco_abs.sessions.environment import Environment
 from inteco_abs.sessions.file_writer import FileWriter
 from inteco_abs.sessions.frames import Frames, frame_facts, packed_frames
 from inteco_abs.sessions.provenance import controller_facts
+from inteco_abs.sessions.rig_numbers import RIG_NAME, rig_numbers
 from inteco_abs.signals import EXPLANATIONS, Reason
 from inteco_abs.source_files import unpacked
 
@@ -143,6 +144,7 @@ class SessionWriter:
         digest = hashlib.sha256(source).hexdigest() if source else ""
         recorder.describe("controller", controller_facts(config, header.gains, digest, header.controller_package))
         recorder.attach(CONFIG_NAME, "application/toml", config.to_toml().encode())
+        recorder.attach(RIG_NAME, "application/json", rig_numbers(config, simulated=simulated(header.board)))
         if header.profile:
             recorder.attach("profile.toml", "application/toml", header.profile)
         if source:

@@ -17,7 +17,7 @@ from inteco_abs.sessions.file_writer import FORMAT_VERSION
 
 BEFORE = {"inteco_abs.session", "inteco_abs.software", "inteco_abs.host", "inteco_abs.rig", "inteco_abs.controller"}
 AFTER = {"inteco_abs.session", "inteco_abs.timing", "inteco_abs.result", "inteco_abs.integrity"}
-FILES = {"config.toml", "profile.toml", "requirements.txt"}
+FILES = {"rig.json", "config.toml", "profile.toml", "requirements.txt"}
 CHANGES = {"git.diff"}
 """Attachment of a source tree with changes."""
 

@@ -2,14 +2,19 @@
 
 import json
 import re
+from dataclasses import asdict
 from pkgutil import resolve_name
 
 import pytest
 
+from inteco_abs.config import load_config
 from inteco_abs.control import CONTROLLERS
 from inteco_abs.format import RESULT, TICK, TRUTH
+from inteco_abs.mock_board import simulated_rig
 from inteco_abs.published import PUBLISHED
-from inteco_abs.sessions import tables
+from inteco_abs.rig import MEASURED_MAP, nominal_parameters
+from inteco_abs.sessions import session_config, tables
+from inteco_abs.sessions.rig_numbers import rig_numbers
 
 ATOMS = "m|s|g|K|A|cd|rad|N|J|W|Hz|V"
 PREFIXES = "n|u|m|k|M"
@@ -49,6 +54,36 @@ def test_units_of_a_session_and_its_tables_are_valid(quick):
         assert all(UNIT.fullmatch(unit) for unit in table.units.values() if unit)
     texts = {name for table in tables(session) for name, unit in table.units.items() if not unit}
     assert texts == {"text", "c3"}
+
+
+def test_the_rigs_numbers_stand_in_the_file_with_units(run):
+    session = run("model.identified.J1=0.008", "simulation.rig='hard:3'").session
+    content = json.loads(session.attachments["rig.json"], parse_constant=pytest.fail)
+    numbers = [*content["nominal"].values(), *content["simulated"].values()]
+    units = [unit for each in numbers for unit in (each["unit"] if isinstance(each["unit"], list) else [each["unit"]])]
+    assert all(UNIT.fullmatch(unit) for unit in units)
+    assert all(each["meaning"] for each in numbers)
+    nominal, drawn = content["nominal"], simulated_rig(session_config(session, ()))
+    own = asdict(nominal_parameters(session_config(session, ()).model))
+    assert {name: nominal[name]["value"] for name in own} == own
+    assert (nominal["J1"]["value"], nominal["J1"]["unit"]) == (0.008, "kg.m2")
+    assert [tuple(point) for point in nominal["brake_map"]["value"]] == list(MEASURED_MAP.points)
+    assert content["simulated"]["J1"]["value"] == drawn.parameters.J1 != 0.008
+    assert content["simulated"]["brake_dead_time_s"] == {
+        "value": drawn.brake_dead_time_s,
+        "unit": "s",
+        "meaning": "Dead time of the brake, 0..0.2 s; the lag c31 comes on top.",
+    }
+    assert content["simulated"]["stall_torque_nm"]["unit"] == "N.m"
+    assert session.media_types["rig.json"] == "application/json"
+
+
+def test_a_real_rig_has_no_simulated_numbers_but_the_motor_that_was_identified():
+    motor = "model.identified.drive_stall_torque_nm=1.5", "model.identified.drive_no_load_speed_rad_s=290.0"
+    config = load_config(settings=motor)
+    content = json.loads(rig_numbers(config, simulated=False), parse_constant=pytest.fail)
+    assert content.keys() == {"nominal"}
+    assert content["nominal"]["no_load_speed_rad_s"]["value"] == 290.0
 
 
 def test_gains_carry_unit_and_meaning(quick):
