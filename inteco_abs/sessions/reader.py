@@ -314,17 +314,19 @@ def _indexed(path: Path, file: BinaryIO, size: int) -> Session:
     for header in islice(RecordFile(file, size), 1):
         content.take(header)
     others, listed = chunk_index(summary_of(file, size).records)
-    numbers = dict.fromkeys((*FLAT, LOG_TOPIC, PARAMETERS_TOPIC, IO_TOPIC), 0)
+    counted: memoryview | None = None
     for entry in others:
         if entry.opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
             content.take(entry)
         elif entry.opcode == Opcode.STATISTICS:
-            for channel, number in BY_CHANNEL.iter_unpack(fields(entry.opcode, entry.data)[-1]):
-                numbers[content.channels[channel][0]] = number
+            counted = fields(entry.opcode, entry.data)[-1]
     _take_listed(file, size, content, others, _LISTED)
     content.check_schemas()
+    numbers = _counted(counted, content)
     content.frames = numbers[IO_TOPIC]
     chunks = Chunks(path, file, content, places(listed, content))
+    if any(number and not chunks.has(topic) for topic, number in numbers.items() if topic != IO_TOPIC):
+        raise DamagedError("the index does not say which chunks have messages that it counts")
     for raw in islice(chunks.unpacked({TICK.topic}), 1):
         content.take_chunk(raw)  # it dates the session
     rows = StoredRows(chunks, {topic: numbers[topic] for topic in FLAT})
@@ -342,6 +344,19 @@ class Summary(NamedTuple):
     start: int
     """Its offset, behind the record that ends the data."""
     records: bytes
+
+
+def _counted(statistics: memoryview | None, content: Content) -> dict[str, int]:
+    """Number of messages by topic. Raises DamagedError without valid statistics."""
+    numbers = dict.fromkeys((*FLAT, LOG_TOPIC, PARAMETERS_TOPIC, IO_TOPIC), 0)
+    if statistics is None or len(statistics) % BY_CHANNEL.size:
+        raise DamagedError("the index does not count the messages")
+    for channel, number in BY_CHANNEL.iter_unpack(statistics):
+        if channel not in content.channels:
+            raise DamagedError(f"the index counts messages of channel {channel}, which is not declared")
+        topic, _ = content.channels[channel]
+        numbers[topic] = numbers.get(topic, 0) + number
+    return numbers
 
 
 def summary_of(file: BinaryIO, size: int) -> Summary:

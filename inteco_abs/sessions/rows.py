@@ -145,6 +145,10 @@ class Chunks:
         """One row per chunk, of type `PLACE`."""
         self._state = _state(file)
 
+    def has(self, topic: str) -> bool:
+        """Whether a chunk has messages of that topic."""
+        return _BITS.get(topic, 0) == 0 or bool((self.places["topics"] & _BITS[topic]).any())
+
     def unpacked(self, topics: Collection[str], places: Array | None = None) -> Iterator[bytes]:
         """Each chunk that has messages of `topics`. Raises DamagedError, and SessionError if the file has changed."""
         places = self.places if places is None else places
@@ -188,9 +192,19 @@ class StoredRows(Rows):
             self._kept is None
             and sum(FLAT[topic].size * number for topic, number in self.numbers.items()) > MOST_IN_MEMORY
         ):
-            return self._parts(self._chunks.places)
-        self._kept = self._kept or whole(self._parts(self._chunks.places))
+            return self._all()
+        self._kept = self._kept or whole(self._all())
         return iter([self._kept])
+
+    def _all(self) -> Iterator[Part]:
+        left = dict(self.numbers)
+        for part in self._parts(self._chunks.places):
+            for topic, rows in zip(FLAT, part, strict=True):
+                left[topic] -= len(rows)
+            yield part
+        if any(left.values()):
+            error = DamagedError(f"its index counts {self.numbers}, and {left} of them are missing")
+            raise damaged(self._chunks.path, error)
 
     def between(self, first_ns: int, end_ns: int) -> Iterator[Part]:
         places, epoch_ns = self._chunks.places, self._chunks.content.epoch_ns or 0

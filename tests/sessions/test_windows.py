@@ -2,6 +2,8 @@
 
 import itertools
 import os
+import struct
+import zlib
 
 import numpy as np
 import pytest
@@ -11,6 +13,8 @@ from inteco_abs.control import build_pipeline, control_check
 from inteco_abs.errors import SessionError
 from inteco_abs.sessions import TICK, open_session, read_session, rows, session_config
 from inteco_abs.views import figure
+
+FOOTER, CHUNK_INDEX, STATISTICS, DATA_END = 2, 8, 11, 15
 
 
 @pytest.fixture
@@ -137,3 +141,41 @@ def test_without_an_index_all_is_read(cut_short, altered):
     session = open_session(altered(cut_short))
     assert session.incomplete
     assert session.tick_count == 30
+
+
+def without_statistics(opcode, data):
+    return b"" if opcode == STATISTICS else data
+
+
+def of_an_unknown_channel(opcode, data):
+    return data[:-10] + struct.pack("<H", 999) + data[-8:] if opcode == STATISTICS else data
+
+
+def without_channels(opcode, data):
+    (size,) = struct.unpack_from("<I", data, 41) if opcode == CHUNK_INDEX else (0,)
+    if opcode != CHUNK_INDEX:
+        return data
+    return data[:1] + struct.pack("<Q", len(data) - 9 - size) + data[9:41] + bytes(4) + data[45 + size :]
+
+
+def of_too_many(opcode, data):
+    if opcode != STATISTICS:
+        return data
+    counts = [struct.pack("<HQ", channel, 10**9) for channel, _ in struct.iter_unpack("<HQ", data[55:])]
+    return data[:55] + b"".join(counts)
+
+
+@pytest.mark.parametrize("change", [without_statistics, of_an_unknown_channel, without_channels, of_too_many])
+def test_an_index_that_contradicts_itself_is_not_trusted(tiny, container, altered, change):
+    records = container.split(tiny.path.read_bytes())
+    ended = [record.opcode for record in records].index(DATA_END) + 1
+    data = container.magic + b"".join(map(bytes, records[:ended]))
+    summary = b"".join(change(record.opcode, bytes(record)) for record in records[ended:-1])
+    footer = struct.pack("<BQQQ", FOOTER, 20, len(data), 0)
+    crc = struct.pack("<I", zlib.crc32(footer, zlib.crc32(summary)))
+    session = open_session(altered(data + summary + footer + crc + container.magic))
+    if change is of_too_many:
+        with pytest.raises(SessionError, match="its index counts"):
+            list(session.blocks())
+    else:
+        assert session.payload == tiny.session.payload
