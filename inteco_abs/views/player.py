@@ -21,6 +21,7 @@ from inteco_abs.sessions import (
     Channel,
     Session,
     event_channel,
+    gains_of,
     pack_event,
     pack_parameters,
     parameter_channel,
@@ -51,7 +52,7 @@ def session_channels(session: Session) -> list[Channel]:
     """The channels of a session for viewers, with its own units and names."""
     own = [row_channel(TICK), *([row_channel(TRUTH)] if session.truth_count else [])]
     rows = [each._replace(facts={**each.facts, **session.channels.get(each.topic, {})}) for each in own]
-    return [*rows, event_channel(), parameter_channel(), result_channel()]
+    return [*rows, event_channel(), parameter_channel(gains_of(session.channels)), result_channel()]
 
 
 class Player:
