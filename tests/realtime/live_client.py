@@ -37,6 +37,15 @@ class Viewer:
         self.channels = {each["topic"]: each for each in json.loads(self._socket.recv(30))["channels"]}
         self.subscribe(*topics or [TICKS])
 
+    def _received(self, most_s):
+        return self._noted(self._socket.recv(most_s))
+
+    def _noted(self, data):
+        """The message; what the server says of itself later on replaces what it said first."""
+        if isinstance(data, str) and '"serverInfo"' in data:
+            self.info = json.loads(data)
+        return data
+
     @property
     def subprotocol(self):
         return self._socket.subprotocol
@@ -65,7 +74,7 @@ class Viewer:
     def next_of(self, *topics, most_s=30.0):
         """Topic, time and bytes of the next message of one of these topics; raises TimeoutError."""
         while True:
-            data = self._socket.recv(most_s)
+            data = self._received(most_s)
             if isinstance(data, bytes) and data[0] == 1:
                 _, subscription, log_time = MESSAGE.unpack_from(data)
                 topic = list(self.channels)[subscription - FIRST - 1]
@@ -82,7 +91,7 @@ class Viewer:
         self._socket.send(CALL.pack(2, service, number, 4) + b"json" + payload)
         messages = []
         while True:
-            data = self._socket.recv(30)
+            data = self._received(30)
             if isinstance(data, str):
                 text = json.loads(data)
                 if text["op"] == "serviceCallFailure":
@@ -109,6 +118,6 @@ class Viewer:
     def rest(self):
         """Topic, time and bytes of all messages until the server is gone."""
         names = list(self.channels)
-        messages = [data for data in self._socket if isinstance(data, bytes) and data[0] == 1]
+        messages = [data for data in map(self._noted, self._socket) if isinstance(data, bytes) and data[0] == 1]
         found = [(MESSAGE.unpack_from(data), data[MESSAGE.size :]) for data in messages]
         return [(names[head[1] - FIRST - 1], head[2], data) for head, data in found]
