@@ -43,6 +43,8 @@ def annotate(
     changes = {key: value for key, value in words.items() if value is not None}
     if tags or untags:
         changes["tags"] = _tags(metadata.get(DESCRIPTION, {}).get("tags"), tags, untags)
+    known = metadata.get(DESCRIPTION, {})
+    changes = {key: value for key, value in changes.items() if value != known.get(key, "")}
     if changes:
         _check({key: value for key, value in changes.items() if value})
         made = write(file, changes, by, datetime.now(UTC).isoformat(timespec="milliseconds"))

@@ -427,10 +427,12 @@ def regular_file(path: Path) -> Iterator[tuple[BinaryIO, int]]:
             file.seek(0)
             yield file, size
     except OSError as error:
-        hint = ""
+        why, hint = error.strerror or str(error), ""
         if isinstance(error, FileNotFoundError) and is_local(path):
             hint = near_file(path) or f"; inteco-abs list {path.parent} shows the sessions there"
-        raise SessionError(f"{path}: cannot be read: {error.strerror or error}{hint}") from error
+        elif isinstance(error, FileNotFoundError):  # which fsspec also raises where no server answers
+            why = "it is not there, or its server does not answer"
+        raise SessionError(f"{path}: cannot be read: {why}{hint}") from error
 
 
 def _chunks(file: BinaryIO, size: int, content: Content) -> Iterator[tuple[Entry, dict[str, Batch]]]:

@@ -83,7 +83,7 @@ def test_the_verbs_read_an_address(server, verb, tmp_path):
     assert verb("export", server.address, "-o", tmp_path / "stop.npz").code == 0
 
 
-@pytest.mark.parametrize(("address", "words"), [("{}x", "cannot be read"), ("http://127.0.0.1:1/x", "cannot be read")])
+@pytest.mark.parametrize(("address", "words"), [("{}x", "is not there"), ("http://127.0.0.1:1/x", "does not answer")])
 def test_what_is_not_there_is_named(server, verb, address, words):
     done = verb("info", address.format(server.address))
     assert (done.code, done.out) == (1, "")

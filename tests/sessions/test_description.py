@@ -76,7 +76,10 @@ def test_the_verb_adds_and_takes_away(described, verb):
     shown = verb("info", described.path).out
     assert "new pads" in shown
     assert "Brown" in shown
+    data = described.path.read_bytes()
     assert verb("annotate", described.path).out.startswith("purpose: figure 3")
+    assert verb("annotate", described.path, "--purpose", "figure 3", "--operator", "").code == 0
+    assert described.path.read_bytes() == data  # nothing new, nothing written
 
 
 @pytest.mark.parametrize(
