@@ -16,7 +16,8 @@ class Ranges(http.server.BaseHTTPRequestHandler):
     """Gives parts of the server's `data`, unless it is `simple`."""
 
     def do_HEAD(self):
-        self._answer(200, {"Accept-Ranges": "bytes"}, self.server.data, head=True)
+        found = 200 if self.path == "/stop.mcap" else 404
+        self._answer(found, {"Accept-Ranges": "bytes"}, self.server.data, head=True)
 
     def do_GET(self):
         data, wanted = self.server.data, RANGE.fullmatch(self.headers.get("Range", ""))
