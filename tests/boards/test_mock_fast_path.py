@@ -1,5 +1,5 @@
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.rtdac_usb2 import READ, SEND, decode_read, decode_send, encode_send
@@ -43,6 +43,8 @@ def frames_of(wire, script):
 @pytest.mark.untraced
 @patient
 @given(script=scripts, cable=st.sampled_from(CABLES))
+@example(script=[({25: 4096}, 0), ({25: 0}, 0)], cable=CABLES[0])
+@example(script=[({15: 0x1800}, 0), ({15: 0}, 0)], cable=CABLES[0])
 def test_a_front_end_that_remembers_answers_as_one_that_decodes_every_frame(new_mock, wire, script, cable):
     mock, twin = new_mock(cable=cable), new_mock(cable=cable)
     rejected = 0

@@ -78,7 +78,7 @@ class Usb2FrontEnd:
         self._wheel = read.place(f"encoder{cable.wheel_encoder}_count")
         self._hot = (self._drive, self._brake, self._number, _LATCH, _LATCH + 2)
         self._newest = bytearray(FRAME_BYTES)  # last decoded frame; equal ones are not decoded again
-        self._widths = (0, 0)
+        self._written = (0, 0, 0)  # the last frame's two widths and its latch, with bits that no table names
         self._number_top = 0
         self._answer = bytearray(read.encode(self._header))
         self._timers: list[int] = []
@@ -137,7 +137,7 @@ class Usb2FrontEnd:
         self._answer[:] = bytes(s.answer)
         echoed = self._drive_echo, self._brake_echo
         drive, brake = (_WORD.unpack_from(self._answer, place)[0] for place in echoed)
-        self._widths = drive, brake
+        self._written = drive, brake, self._written[2]
         self.device.settings[self._numbering] = _WORD.unpack_from(self._answer, self._number)[0]
         self.device.resume(s.time_ns, s.readings, (s.drive, s.brake), (drive, brake))
 
@@ -154,9 +154,11 @@ class Usb2FrontEnd:
             self._decode(data)
             return
         latch = low | high << _LOW_LATCH.bit_length()
-        if (drive, brake, latch) != (*self._widths, self.device.settings.get("pin_output", 0)):
+        if (drive, brake, latch) != self._written:
+            self._written = drive, brake, latch
             self.device.write_quickly(drive, brake, latch)
-            self._echo(drive, brake)
+            _WORD.pack_into(self._answer, self._drive_echo, drive)
+            _WORD.pack_into(self._answer, self._brake_echo, brake)
             self._answer[_LATCH : _LATCH + 4] = latch.to_bytes(4, "little")
         else:
             self.device.observe()
@@ -179,21 +181,14 @@ class Usb2FrontEnd:
         self._answer = bytearray(read.encode({**self._header, **echo, "pin_input": device.pins()}))
         self._keep_unnamed(data)
         self._timers = [i for i in range(2) if f"timer{i}_value" in read.fields and device.timer_runs(i)]
-        self._widths = (
-            _WORD.unpack_from(data, self._drive)[0] & _WIDTH_MASK,
-            _WORD.unpack_from(data, self._brake)[0] & _WIDTH_MASK,
-        )
+        drive, brake, low, high = (_WORD.unpack_from(data, at)[0] for at in (*self._hot[:2], *self._hot[3:]))
+        self._written = drive, brake, low | high << _LOW_LATCH.bit_length()
 
     def _keep_unnamed(self, frame: bytes | bytearray) -> None:
         """Echo the bits that no table names from a frame of either direction."""
         table = self._tables[0]
         shown = zip(table.words(self._answer), table.words(frame), self._unnamed, strict=True)
         self._answer = bytearray(table.pack([answer & ~mask | word & mask for answer, word, mask in shown]))
-
-    def _echo(self, drive: int, brake: int) -> None:
-        self._widths = (drive, brake)
-        _WORD.pack_into(self._answer, self._drive_echo, drive)
-        _WORD.pack_into(self._answer, self._brake_echo, brake)
 
     def _read(self) -> bytes:
         road, wheel = self.device.counts()
