@@ -211,7 +211,7 @@ class VirtualRun:
         if self._window.waiting > self._window.room:
             writer.flush()
             if writer.writing:
-                self._window.release()
+                self._window.release(self._window.end)
         if self._window.room < 2 * _SLICE_TICKS:  # a disk that takes nothing ends the run while there is room
             self._interrupts.stop.request(Reason.RECORDER_LOST)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
 from typing import Final
 
@@ -21,6 +22,13 @@ class Window:
         self._spare = 0.0 if over else _SPARE
         self._end, self._truths_end = (each.written if over else each.taken for each in (ticks, truths))
         self._first_truth = 0
+        self._returned = deque[tuple[int, int]]()
+        """Ends of what each call of `more` has returned and `release` has not freed, in ticks and states."""
+
+    @property
+    def end(self) -> int:
+        """Number of ticks that `more` has returned."""
+        return self._end
 
     @property
     def room(self) -> int:
@@ -44,6 +52,8 @@ class Window:
             known = int(times_ns.searchsorted(_newest_ns(TICK, ticks), side="right"))
             truths, end = truths[: known * TRUTH.size], end - (len(times_ns) - known)
         self._truths_end = end
+        if ticks or truths:
+            self._returned.append((self._end, self._truths_end))
         return ticks, truths
 
     def skip_truths(self) -> None:
@@ -51,10 +61,12 @@ class Window:
         self._first_truth = self._truths_end = self._truths.written
         self._truths.release(self._truths_end)
 
-    def release(self) -> None:
-        """Free the place of what `more` has returned: it is in a file."""
-        self._ticks.release(self._end)
-        self._truths.release(self._truths_end)
+    def release(self, stored: int) -> None:
+        """Free the place of the first `stored` ticks, which are in a file, and of the states that came with them."""
+        while self._returned and self._returned[0][0] <= stored:
+            ticks, truths = self._returned.popleft()
+            self._ticks.release(ticks)
+            self._truths.release(truths)
 
     @property
     def ticks(self) -> range:

@@ -756,10 +756,11 @@ class TestDisk:
         until(lambda: memory.words[Field.RECORDER_BEAT_NS] > waiting[0], "it shows that it is alive")
         assert memory.words[Field.SYNCED] == 0
         slow.ticks(200)
-        until(lambda: memory.tick_reader().taken == 300, "it writes on")
+        until(lambda: len(slow.session().ticks) == 300, "it writes on")
         assert memory.words[Field.SYNCED] == 0
-        assert len(slow.session().ticks) == 300
+        assert memory.tick_reader().taken == 0
         until(lambda: memory.words[Field.SYNCED] == 300, "the disk has taken it all")
+        until(lambda: memory.tick_reader().taken == 300, "the ring is free again")
         memory.post(Mailbox.RUN_END, NORMAL)
         slow.loop.kill()
         assert slow.end()["card"]["lost_ticks"] == 0

@@ -51,7 +51,9 @@ def test_what_came_is_handed_over_once_and_stays_after_it_is_in_a_file(run):
     run.ticks(2)
     assert (numbers([first])[0], numbers([run.window.more(last=True)])[0]) == ([0, 1, 2, 3, 4], [5, 6])
     assert run.window.waiting == 7
-    run.window.release()
+    run.window.release(6)  # of the second two, not all are on the disk yet
+    assert run.window.waiting == 2
+    run.window.release(7)
     assert run.window.waiting == 0
     run.ticks(1)  # which `more` has not returned
     assert numbers(run.window.held()) == (list(range(7)), list(range(7, 7 + 7 * PER_TICK)))
@@ -74,7 +76,7 @@ def test_a_wrapped_ring_returns_only_rows_the_loop_cannot_overwrite(new_memory):
     for _ in range(3):
         run.ticks(500)
         run.window.more(last=True)
-        run.window.release()
+        run.window.release(run.window.end)
     assert numbers(run.window.held())[0] == list(range(800, 1500))
     over = Window(memory.tick_reader(), memory.truth_reader(), over=True)
     assert numbers(over.held())[0] == list(range(700, 1500))
@@ -85,7 +87,7 @@ def test_what_no_file_has_is_held_to_the_last_tick_that_comes_in(new_memory):
     run = Run(memory)
     run.ticks(100)
     run.window.more(last=True)
-    run.window.release()
+    run.window.release(run.window.end)
     run.ticks(800)
     run.window.more(last=True)
     assert run.window.room == 0

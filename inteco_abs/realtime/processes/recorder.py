@@ -134,7 +134,7 @@ class _Troubles:
 
 
 class _Drain:
-    """Moves ticks from the rings to the writer; they stay in the rings until they are in a file."""
+    """Moves ticks from the rings to the writer; they stay in the rings until they are on a disk."""
 
     def __init__(
         self,
@@ -196,8 +196,8 @@ class _Drain:
             self._writer.warn(self._memory.words[Field.EPOCH_NS] + began_ns, text)
             self._view.warn(text, began_ns)
         if self._writer.writing:
-            self._window.release()
-            self._memory.words[Field.SYNCED] = self._writer.synced
+            self._memory.words[Field.SYNCED] = synced = self._writer.synced
+            self._window.release(synced)
 
 
 def _count(memory: RunMemory, ticks: bytes) -> None:
