@@ -24,11 +24,16 @@ class SourceFiles(NamedTuple):
         """The source itself or, with files, a zip archive that begins with the source under this name."""
         if not self.files:
             return self.source
-        buffer = io.BytesIO()
-        with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-            for path, content in [(name, self.source), *sorted(self.files.items())]:
-                archive.writestr(zipfile.ZipInfo(path), content, zipfile.ZIP_DEFLATED)  # without its time: same bytes
-        return buffer.getvalue()
+        return zipped({name: self.source, **dict(sorted(self.files.items()))})
+
+
+def zipped(files: Mapping[str, bytes]) -> bytes:
+    """Zip archive of files by their names, in their order; the same bytes every time."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path, content in files.items():
+            archive.writestr(zipfile.ZipInfo(path), content, zipfile.ZIP_DEFLATED)  # without its time
+    return buffer.getvalue()
 
 
 def unpacked(data: bytes) -> SourceFiles:

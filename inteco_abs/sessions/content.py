@@ -28,11 +28,13 @@ from inteco_abs.sessions.container import (
 from inteco_abs.sessions.migration import MessageLayout, message_layout, newer
 
 CONFIG_NAME: Final = "config.toml"
+"""Name of the attachment with the configuration of the run."""
+LAW_NAME: Final = "law.zip"
+"""Modules of the shipped controller and estimator that decided."""
 CONTROLLER_SOURCE: Final = "controller.py"
 """Source of a user's controller."""
 CONTROLLER_FILES: Final = "controller.zip"
 """The same with the files beside it that it loads."""
-"""Name of the attachment with the configuration of the run."""
 RECOVERED: Final = "recovered"
 """Outcome of a session that was recovered from a damaged file."""
 LIBRARY: Final = "inteco-abs/"

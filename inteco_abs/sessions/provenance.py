@@ -9,10 +9,15 @@ import sys
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
+from typing import Final
 
 from inteco_abs.config import RigConfig, profile_text, profiles
+from inteco_abs.control import CONTROLLERS, ESTIMATORS
 from inteco_abs.sessions.fingerprint import arithmetic_facts
+from inteco_abs.source_files import zipped
 from inteco_abs.version import SOURCE_FOLDER, __version__
+
+_DECIDES: Final = "inteco_abs.control."
 
 
 def software_facts() -> dict[str, str]:
@@ -64,6 +69,24 @@ def controller_facts(config: RigConfig, gains: Mapping[str, float], source_sha25
         facts[f"gain.{name}"] = repr(float(value))
         facts[f"gain.{name}.hex"] = float(value).hex()
     return facts
+
+
+def shipped_law(config: RigConfig) -> bytes:
+    """Zip archive of the modules that decide, empty if neither the configured controller nor the estimator ships.
+
+    These are the modules of both, and all of `inteco_abs.control` that they use.
+    """
+    estimator = ESTIMATORS.get(config.estimator.name)
+    classes = (CONTROLLERS.get(config.controller.name), estimator and estimator.works)
+    waiting = [base.__module__ for each in classes if each is not None for base in each.__mro__]
+    found = set[str]()
+    while waiting:
+        name = waiting.pop()
+        if name.startswith(_DECIDES) and name not in found:
+            found.add(name)
+            waiting += [getattr(value, "__module__", None) or "" for value in vars(sys.modules[name]).values()]
+    places = sorted(f"{name.replace('.', '/')}.py" for name in found)
+    return zipped({place: (SOURCE_FOLDER.parent / place).read_bytes() for place in places}) if places else b""
 
 
 def profile_source(name: str) -> bytes:

@@ -363,7 +363,7 @@ def summary_of(file: BinaryIO, size: int) -> Summary:
     """The records between the data and the footer. Raises DamagedError."""
     if size < _TAIL:
         raise DamagedError("there is no index")
-    file.seek(-_TAIL, os.SEEK_END)
+    file.seek(size - _TAIL)
     tail = file.read(_TAIL)
     start, _, crc = _FOOTER.unpack_from(tail, HEAD.size)
     end = size - _TAIL
@@ -455,7 +455,7 @@ def _chunks(file: BinaryIO, size: int, content: Content) -> Iterator[tuple[Entry
             raise DamagedError(f"{kind(entry.opcode)} at byte {entry.start}: {error}") from error
         yield entry, batches
     content.check_schemas()
-    if ends_well(file) and size > len(MAGIC):
+    if ends_well(file, size) and size > len(MAGIC):
         if not ended:
             raise DamagedError("the head of a record is wrong: the file is not cut, but its data has no end")
     else:
@@ -469,10 +469,10 @@ def check_data(end: Entry, found: int) -> None:
         raise DamagedError("the data section fails its checksum")
 
 
-def ends_well(file: BinaryIO) -> bool:
-    """Whether the file ends as an MCAP file does."""
-    file.seek(-len(MAGIC), os.SEEK_END)
-    return file.read() == MAGIC
+def ends_well(file: BinaryIO, size: int) -> bool:
+    """Whether the first `size` bytes of the file, which may still grow, end as an MCAP file does."""
+    file.seek(size - len(MAGIC))
+    return file.read(len(MAGIC)) == MAGIC
 
 
 def _require_ours(path: Path, content: Content) -> None:

@@ -15,11 +15,11 @@ from inteco_abs.format import TICK, TRUTH
 from inteco_abs.quantities import Quantity
 from inteco_abs.rig import nominal_parameters
 from inteco_abs.sessions.card import RunningCard
-from inteco_abs.sessions.content import CONFIG_NAME, CONTROLLER_FILES, CONTROLLER_SOURCE
+from inteco_abs.sessions.content import CONFIG_NAME, CONTROLLER_FILES, CONTROLLER_SOURCE, LAW_NAME
 from inteco_abs.sessions.environment import Environment
 from inteco_abs.sessions.file_writer import FileWriter
 from inteco_abs.sessions.frames import Frames, frame_facts, packed_frames
-from inteco_abs.sessions.provenance import controller_facts
+from inteco_abs.sessions.provenance import controller_facts, shipped_law
 from inteco_abs.sessions.rig_numbers import RIG_NAME, rig_numbers
 from inteco_abs.signals import EXPLANATIONS, Reason
 from inteco_abs.source_files import unpacked
@@ -147,6 +147,8 @@ class SessionWriter:
         recorder.attach(RIG_NAME, "application/json", rig_numbers(config, simulated=simulated(header.board)))
         if header.profile:
             recorder.attach("profile.toml", "application/toml", header.profile)
+        if law := shipped_law(config):
+            recorder.attach(LAW_NAME, "application/zip", law)
         if source:
             recorder.attach(CONTROLLER_SOURCE, "text/x-python", source)
         if source != header.controller_source:

@@ -148,7 +148,7 @@ class _Inspector:
     def _check_end(self) -> None:
         if not self._data_ended:
             self._inspection.loss("end", "the data has no end: what came after it is not known")
-        elif not self._footed or not ends_well(self._file):
+        elif not self._footed or not ends_well(self._file, self._size):
             self._inspection.loss("end", "the file has no footer at its end: viewers may refuse it")
 
     def _check_index(self) -> None:

@@ -1,8 +1,12 @@
 import hashlib
+import io
 import json
+import re
 import sys
+import zipfile
 from datetime import datetime
 from importlib.metadata import version
+from pathlib import Path
 from uuid import UUID
 
 import pytest
@@ -10,6 +14,7 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
 import inteco_abs
+from inteco_abs import control
 from inteco_abs.config import parse_config
 from inteco_abs.control import gains_in_force
 from inteco_abs.sessions import TICK, FileWriter, read_session
@@ -17,7 +22,7 @@ from inteco_abs.sessions.file_writer import FORMAT_VERSION
 
 BEFORE = {"inteco_abs.session", "inteco_abs.software", "inteco_abs.host", "inteco_abs.rig", "inteco_abs.controller"}
 AFTER = {"inteco_abs.session", "inteco_abs.timing", "inteco_abs.result", "inteco_abs.integrity"}
-FILES = {"rig.json", "config.toml", "profile.toml", "requirements.txt"}
+FILES = {"law.zip", "rig.json", "config.toml", "profile.toml", "requirements.txt"}
 CHANGES = {"git.diff"}
 """Attachment of a source tree with changes."""
 
@@ -145,6 +150,23 @@ def test_source_of_a_users_controller_is_attached(run):
     session = run(controller_source=source).session
     assert session.attachments["controller.py"] == source
     assert session.metadata["controller"]["source_sha256"] == hashlib.sha256(source).hexdigest()
+
+
+@pytest.mark.parametrize(
+    ("controller", "estimator", "decisive"),
+    [("pi", "kalman", {"linear", "kalman"}), ("predictive-reaching", "observer", {"predictive", "observer"})],
+)
+def test_modules_of_a_shipped_law_and_all_that_they_use_are_attached(run, tmp_path, controller, estimator, decisive):
+    session = run(f"controller.name='{controller}'", f"estimator.name='{estimator}'").session
+    archive = zipfile.ZipFile(io.BytesIO(session.attachments["law.zip"]))
+    archive.extractall(tmp_path)
+    package = Path(control.__file__).parent
+    files = {file.relative_to(tmp_path / "inteco_abs/control"): file for file in tmp_path.rglob("*.py")}
+    assert {name.stem for name in files} >= {*decisive, "slip_dynamics"}
+    for name, file in files.items():
+        assert file.read_bytes() == (package / name).read_bytes()
+        used = re.findall(r"^from inteco_abs\.control\.([\w.]+) import", file.read_text(), re.MULTILINE)
+        assert {Path(*each.split(".")).with_suffix(".py") for each in used} <= {*files}
 
 
 @pytest.mark.untraced

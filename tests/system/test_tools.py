@@ -99,7 +99,9 @@ def test_bench_session_prices_writing_reading_and_replaying(untraced):
     assert int(printed[0].split()[2]) >= 120_000
     rows = {line[2:24].rstrip(): [float(figure) for figure in line[24:].split()] for line in printed if line[0] == " "}
     assert {name: len(figures) for name, figures in rows.items()} == {
-        "struct.pack": 2, "write": 3, "np.load": 2, "read": 2, "decide": 3, "replay": 3, "read and replay": 3,
+        "struct.pack": 2, "write": 3, "np.load": 2, "read": 2, "virtual run": 3, "virtual run, compiled": 3,
+        "decide": 3, "replay": 3, "replay, compiled": 3, "read and replay": 3,
+        **{f"{how}, level {n}": 2 for how in ("messages", "columns") for n in (-1, 1, 2, 3, 4, 6, 12, 19)},
     }  # fmt: skip
     assert all(figure > 0.0 for figures in rows.values() for figure in figures)
 
