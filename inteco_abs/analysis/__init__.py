@@ -8,6 +8,7 @@ from inteco_abs.analysis.diff import SECTIONS, Change, Diff, SignalChange, diff_
 from inteco_abs.analysis.gains import REFERENCE, changed_gains, recorded_gains
 from inteco_abs.analysis.golden import Golden, GoldenFolder, GoldenResult
 from inteco_abs.analysis.open_loop import WhatIf, alternative, braking_row, since_braking_s, what_if
+from inteco_abs.analysis.publication import Publication, publish
 from inteco_abs.analysis.replay import (
     FirstDifference,
     Replay,
@@ -33,6 +34,7 @@ __all__ = [
     "GoldenFolder",
     "GoldenResult",
     "MetricStatistics",
+    "Publication",
     "Replay",
     "Shift",
     "SignalChange",
@@ -49,6 +51,7 @@ __all__ = [
     "metric_statistics",
     "parse_tolerances",
     "previous_card",
+    "publish",
     "recorded_arithmetic",
     "recorded_gains",
     "replay_session",

@@ -20,24 +20,20 @@ from typing import Any, Final, Self
 import numpy as np
 import tomli_w
 
-from inteco_abs.analysis.gains import recorded_gains
 from inteco_abs.analysis.open_loop import since_braking_s
 from inteco_abs.analysis.replay import Replay, decisions, recorded_arithmetic, replay_session, require_known
 from inteco_abs.analysis.tolerance import Array, parse_tolerances
-from inteco_abs.config import RigConfig
 from inteco_abs.control import Controller, build_pipeline, control_check
 from inteco_abs.errors import ConfigError, ConfigIssue, SessionError, describe_disk, near_match
 from inteco_abs.format import TICK, TRUTH, Role
 from inteco_abs.sessions import (
-    FileWriter,
     Session,
     ensured_directory,
-    gains_of,
-    internals_of,
     read_session,
     result_card,
     session_config,
     software_facts,
+    write_copy,
 )
 from inteco_abs.signals import Phase
 
@@ -297,20 +293,11 @@ def _sha256(file: Path) -> str:
 
 def _write_copy(session: Session, payload: bytes, path: Path) -> None:
     """Write the session with other ticks, without truth and facts about the host."""
-    config: RigConfig = session_config(session, ())
-    ticks = TICK.array(payload)
-    facts_of_run = session.metadata.get("session", {})
-    start_ns, session_id = int(ticks["time_ns"][0]), facts_of_run.get("session_id", "")
-    internals, gains = internals_of(session.channels), gains_of(session.channels)
-    with FileWriter(path, start_ns, session_id, internals=internals, gains=gains) as recorder:
-        for name in _KEPT:
-            if name in session.metadata:
-                facts = session.metadata[name]
-                recorder.describe(name, {key: value for key, value in facts.items() if key not in _NOT_KEPT})
-        for name, data in session.attachments.items():
-            recorder.attach(name, session.media_types.get(name, ""), data)
-        values = {name: float(value) for name, value in recorded_gains(session).items()}
-        recorder.begin({"reference_slip": config.controller.reference_slip, **values})
-        recorder.ticks(payload)
-        card = {**result_card(config, ticks, TRUTH.array(b"")), "lost_ticks": 0}
-        recorder.finish(facts_of_run.get("outcome", ""), facts_of_run.get("reason", ""), card)
+    ticks, truths = TICK.array(payload), TRUTH.array(b"")
+    metadata: dict[str, Mapping[str, str]] = {
+        name: {key: value for key, value in session.metadata[name].items() if key not in _NOT_KEPT}
+        for name in _KEPT
+        if name in session.metadata
+    }
+    card = {**result_card(session_config(session, ()), ticks, truths), "lost_ticks": 0}
+    write_copy(session, path, [(ticks, truths)], metadata=metadata, attachments=session.attachments, card=card)

@@ -16,7 +16,7 @@ _VERBS: Final = {
     "Run": ("run", "repeat", "demo"),
     "Sessions": (
         "list", "info", "play", "annotate", "report", "figure", "diff", "replay", "what-if", "golden", "export",
-        "dataset", "extract", "viewer-layout", "validate", "recover",
+        "dataset", "publish", "extract", "viewer-layout", "validate", "recover",
     ),
     "Compare and design": ("controllers", "estimators", "sweep", "benchmark", "design", "identify", "paper", "fmu"),
     "Boards and commissioning": ("commission", "panel", "identify-led", "mock-board", "faults", "wire"),

@@ -18,7 +18,8 @@ from inteco_abs.sessions.channels import (
     row_channel,
 )
 from inteco_abs.sessions.container import DamagedError
-from inteco_abs.sessions.content import CONFIG_NAME, CONTROLLER_FILES, CONTROLLER_SOURCE, RECOVERED
+from inteco_abs.sessions.content import CONFIG_NAME, CONTROLLER_FILES, CONTROLLER_SOURCE, RECOVERED, LogEntry
+from inteco_abs.sessions.copying import write_copy
 from inteco_abs.sessions.environment import Environment, current_environment
 from inteco_abs.sessions.export import FORMATS, Export, export_session, write_parquet
 from inteco_abs.sessions.failover_writer import FailoverWriter, Opener, check_spill, joined, spill_path
@@ -79,6 +80,7 @@ __all__ = [
     "FileWriter",
     "Frames",
     "Inspection",
+    "LogEntry",
     "Metadata",
     "Opener",
     "PhaseSpan",
@@ -144,6 +146,7 @@ __all__ = [
     "to_pandas",
     "to_polars",
     "validate",
+    "write_copy",
     "write_file",
     "write_parquet",
 ]
