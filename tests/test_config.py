@@ -55,6 +55,7 @@ def test_the_defaults_that_no_profile_sets():
         "stop_speed_rad_s": 0.5,
         "hold_s": 0.5,
         "stops": 1,
+        "changes": None,
         "spin_up_timeout_s": 20.0,
         "braking_timeout_s": 10.0,
     }

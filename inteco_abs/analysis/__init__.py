@@ -5,7 +5,7 @@ from inteco_abs.analysis.catalogue import COLUMNS, session_files, session_row, s
 from inteco_abs.analysis.closed_loop import Continuation, continued, distance
 from inteco_abs.analysis.dataset import write_dataset
 from inteco_abs.analysis.diff import SECTIONS, Change, Diff, SignalChange, diff_sessions, settings_of
-from inteco_abs.analysis.gains import REFERENCE, changed_gains, recorded_gains
+from inteco_abs.analysis.gains import changed_gains, gain_changes, listed_changes, recorded_gains, times_of_changes_ns
 from inteco_abs.analysis.golden import Golden, GoldenFolder, GoldenResult
 from inteco_abs.analysis.open_loop import WhatIf, alternative, braking_row, since_braking_s, what_if
 from inteco_abs.analysis.publication import Publication, publish
@@ -23,7 +23,6 @@ from inteco_abs.analysis.tolerance import Shift, Tolerance, parse_tolerances
 
 __all__ = [
     "COLUMNS",
-    "REFERENCE",
     "SECTIONS",
     "UNITS",
     "Change",
@@ -48,6 +47,8 @@ __all__ = [
     "decisions",
     "diff_sessions",
     "distance",
+    "gain_changes",
+    "listed_changes",
     "metric_statistics",
     "parse_tolerances",
     "previous_card",
@@ -62,6 +63,7 @@ __all__ = [
     "settings_of",
     "since_braking_s",
     "sort_rows",
+    "times_of_changes_ns",
     "what_if",
     "write_dataset",
 ]

@@ -14,12 +14,13 @@ from typing import Any, ClassVar, Final, Self
 
 import numpy as np
 
+from inteco_abs.analysis.gains import changes_for, make_due
 from inteco_abs.analysis.open_loop import since_braking_s
 from inteco_abs.analysis.replay import recorded_arithmetic, samples
 from inteco_abs.analysis.tolerance import Array
 from inteco_abs.boards import Board, InProcessLink, board_behind
 from inteco_abs.config import RigConfig, SimulationConfig, load_config
-from inteco_abs.control import Controller, Gain, Pipeline, make_controller, make_estimator
+from inteco_abs.control import Controller, Gain, Pipeline, make_controller, make_estimator, set_gain
 from inteco_abs.errors import SessionError, describe_error
 from inteco_abs.format import INTERNALS, TICK, TRUTH
 from inteco_abs.mock_board import Device, Truth, front_end_of
@@ -58,6 +59,7 @@ def continued(
 ) -> Continuation:
     """`session`, run with `own`, as if the estimator and controller of `other` had decided from `at_s`.
 
+    The session's changes of gains go on, as far as they hold for that controller.
     `at_s` is since braking began. Each command takes effect at the next tick, as on a board. Raises SessionError if
     the run was over by then, or the errors of the mock board.
     """
@@ -66,12 +68,15 @@ def continued(
     log = _Log(session.ticks[list(_DEMAND)], row)
     ticks: list[Tick] = []
     with recorded_arithmetic(session):
-        pipeline = Pipeline(own, make_estimator(other), _Successor(log, make_controller(other, controllers)))
+        controller = make_controller(other, controllers)
+        pipeline = Pipeline(own, make_estimator(other), _Successor(log, controller))
+        changes = changes_for(session, other, controller, controllers)
         rig = _Rig(session, simulation)
         with rig.board:
             for sample, request in samples(session):
                 simulated = rig.exchange(sample.time_ns, pipeline.command)
                 log.row = len(ticks)
+                make_due(changes, sample.tick, pipeline.change)
                 ticks.append(pipeline.step(sample, request))
                 if len(ticks) > row:
                     break
@@ -86,6 +91,7 @@ def continued(
                     wheel_count=following.wheel_count + wheel,
                     road_count=following.road_count + road,
                 )
+                make_due(changes, sample.tick, pipeline.change)
                 ticks.append(pipeline.step(sample))
     if pipeline.error is not None:
         raise SessionError(f"{session.path}: in simulation, it raised {describe_error(pipeline.error)}")
@@ -147,6 +153,10 @@ class _Successor:
     def __init__(self, log: _Log, controller: Controller) -> None:
         self._log = log
         self._controller = controller
+
+    def change_gain(self, name: str, value: float) -> None:
+        """Change a gain of the other controller."""
+        set_gain(self._controller, name, value)
 
     def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:
         """The log's demand, or from the row on the other controller's."""

@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from inteco_abs.analysis.gains import recorded_gains
+from inteco_abs.analysis.gains import listed_changes, recorded_gains
 from inteco_abs.format import DOUBLE, INTERNALS, TICK, TRUTH, Column, Role
 from inteco_abs.sessions import CONFIG_NAME, Session, card_of, internals_of, joined_rows
 from inteco_abs.signals import Phase
@@ -111,7 +111,8 @@ def _metrics(session: Session) -> dict[str, Any]:
 
 
 def _gains(a: Session, b: Session, _rel: float) -> Iterator[Change]:
-    return _changes(recorded_gains(a), recorded_gains(b))
+    first, second = ({**recorded_gains(each), **listed_changes(each)} for each in (a, b))
+    return _changes(first, second)
 
 
 def _configuration(a: Session, b: Session, _rel: float) -> Iterator[Change]:

@@ -1,16 +1,77 @@
-"""Gains and reference as recorded in a session, in three places, compared with those of a replay."""
+"""Gains and reference as recorded in a session, in three places, and the changes of them while it lasted."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import starmap
 from typing import Final
 
+from inteco_abs.config import RigConfig
+from inteco_abs.control import REFERENCE, Controller, GainChange, Pipeline, gains_in_force, keeps_gain
 from inteco_abs.format import PARAMETERS_TOPIC
-from inteco_abs.sessions import Session
+from inteco_abs.sessions import Session, changes_among, session_config
+from inteco_abs.signals import Reason, Sample, Tick
 
-REFERENCE: Final = "reference_slip"
 _GAIN: Final = "gain."
 _HEX: Final = ".hex"
+
+
+def gain_changes(session: Session) -> deque[GainChange]:
+    """Gains that were changed while the run lasted, in the order in which they took effect."""
+    return deque(changes_among(session.parameters))
+
+
+def listed_changes(session: Session) -> dict[str, str]:
+    """Gains that were changed while the run lasted, for lists of facts: by name and tick, as decimal text."""
+    return {f"{name} from tick {tick}": repr(value) for tick, name, value in gain_changes(session)}
+
+
+def times_of_changes_ns(session: Session) -> list[int]:
+    """Time of the tick of each change of a gain that the session has, ns."""
+    ticks, times_ns = [change.tick for change in gain_changes(session)], list[int]()
+    if ticks:
+        for rows, _ in session.blocks():
+            found = rows["tick"].searchsorted(ticks)
+            times_ns += [int(rows["time_ns"][at]) for at, tick in zip(found, ticks, strict=True)
+                         if at < len(rows) and rows["tick"][at] == tick]  # fmt: skip
+    return times_ns
+
+
+def make_due(changes: deque[GainChange], tick: int, change: Callable[[str, float], None]) -> None:
+    """Take the changes up to `tick` away, and make each."""
+    while changes and changes[0].tick <= tick:
+        _, name, value = changes.popleft()
+        change(name, value)
+
+
+def changes_for(
+    session: Session, other: RigConfig, controller: Controller, controllers: Mapping[str, type[Controller]]
+) -> deque[GainChange]:
+    """The session's changes that also hold for the `controller` of another configuration.
+
+    Those of the reference, and those of gains of the same law, unless the configuration begins with another value.
+    """
+    own = session_config(session, ())
+    then, now = ({REFERENCE: each.controller.reference_slip} for each in (own, other))
+    if own.controller.name == other.controller.name:
+        then |= gains_in_force(own, controllers)
+        now |= gains_in_force(other, controllers)
+    same = {name for name, value in now.items() if then[name] == value and keeps_gain(controller, name, value)}
+    return deque(change for change in gain_changes(session) if change.name in same)
+
+
+def steps(pipeline: Pipeline, inputs: Iterable[tuple[Sample, Reason]], changes: deque[GainChange]) -> Iterator[Tick]:
+    """Ticks that `pipeline` decides on, each after the `changes` up to it, which are taken away."""
+    return _changed_steps(pipeline, inputs, changes) if changes else starmap(pipeline.step, inputs)
+
+
+def _changed_steps(
+    pipeline: Pipeline, inputs: Iterable[tuple[Sample, Reason]], changes: deque[GainChange]
+) -> Iterator[Tick]:
+    for sample, request in inputs:
+        make_due(changes, sample.tick, pipeline.change)
+        yield pipeline.step(sample, request)
 
 
 def recorded_gains(session: Session) -> dict[str, str]:

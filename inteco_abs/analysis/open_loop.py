@@ -15,6 +15,7 @@ import numpy as np
 import tomli_w
 
 from inteco_abs.analysis.compiling import compiled_loops
+from inteco_abs.analysis.gains import changes_for, make_due
 from inteco_abs.analysis.replay import recorded_arithmetic, require_known
 from inteco_abs.analysis.tolerance import Array
 from inteco_abs.config import RigConfig, apply_setting, parse_config
@@ -25,6 +26,7 @@ from inteco_abs.control import (
     make_controller,
     make_estimator,
     preferred_estimator,
+    set_gain,
 )
 from inteco_abs.errors import ConfigError, ConfigIssue, SessionError, describe_error
 from inteco_abs.quantities import finite
@@ -137,9 +139,10 @@ def what_if(
 ) -> WhatIf:
     """Demands of the estimator and controller of `config` for the logged counts, and where they leave the log.
 
-    They are updated from the first tick, and compared from `at_s` after braking began, or always. `duty` and
-    `torque_nm` are the largest differences that still agree with the log; `compiled` as for `replay_session`. Raises
-    SessionError without braking, if the run was over by `at_s`, or if the estimator or controller raises.
+    They are updated from the first tick, with the session's changes of gains that hold for them, and compared from
+    `at_s` after braking began, or always. `duty` and `torque_nm` are the largest differences that still agree with the
+    log; `compiled` as for `replay_session`. Raises SessionError without braking, if the run was over by `at_s`, or if
+    the estimator or controller raises.
     """
     require_known(session)
     since_s = since_braking_s(session)
@@ -164,6 +167,8 @@ def _compiled_requests(
 ) -> Array | None:
     """As `_requests`, by a compiled loop, or None."""
     estimator, controller = make_estimator(config), make_controller(config, controllers)
+    if changes_for(session, config, controller, controllers):
+        return None
     loops = compiled_loops(session, estimator, controller, compiled)
     found: Array | None = loops and loops.module.demand_rows(
         estimator, controller, session.ticks, _DTYPE, loops.may_compile
@@ -172,7 +177,7 @@ def _compiled_requests(
 
 
 def _requests(session: Session, config: RigConfig, controllers: Mapping[str, type[Controller]]) -> Iterator[Demand]:
-    alternative = _Alternative(config, controllers)
+    alternative = _Alternative(session, config, controllers)
     answer, command, before = Demand(0.0, 0.0, 0.0), Command.SAFE, Phase.UNKNOWN
     for tick, time_ns, dt_s, wheel, road, flags, drive, brake, phase in session.ticks[_LOGGED].tolist():
         if not flags:  # without a valid sample the run kept its previous demand
@@ -190,14 +195,18 @@ def _requests(session: Session, config: RigConfig, controllers: Mapping[str, typ
 class _Alternative:
     """Estimator and controller; the controller is updated where the log's was: from the tick after braking began."""
 
-    def __init__(self, config: RigConfig, controllers: Mapping[str, type[Controller]]) -> None:
+    def __init__(self, session: Session, config: RigConfig, controllers: Mapping[str, type[Controller]]) -> None:
         self._arguments = config, controllers
         self._estimator = make_estimator(config)
         self._controller = make_controller(config, controllers)
+        self._changes = changes_for(session, config, self._controller, controllers)
+        self._made: dict[str, float] = {}
+        """Gains changed so far."""
         self._held = _NO_DEMAND
 
     def step(self, sample: Sample, command: Command, before: Phase, phase: Phase) -> Demand:
         """Demand of a tick that goes from one phase to the next."""
+        make_due(self._changes, sample.tick, self._change)
         estimate = self._estimator.update(sample, command)
         demand = _NO_DEMAND
         if before is Phase.BRAKING:
@@ -206,7 +215,13 @@ class _Alternative:
             demand = self._held
         elif before is Phase.STOPPED:
             self._controller = make_controller(*self._arguments)  # each stop begins with a new one
+            for gain in self._made.items():
+                set_gain(self._controller, *gain)
         return Demand(estimate.slip, demand.torque_nm, demand.brake)
+
+    def _change(self, name: str, value: float) -> None:
+        self._made[name] = value
+        set_gain(self._controller, name, value)
 
 
 def _divergence(

@@ -6,13 +6,13 @@ import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from itertools import starmap
 from typing import Any, Final
 
 import numpy as np
 
 from inteco_abs import elementary
 from inteco_abs.analysis.compiling import compiled_loops, recorded_with
+from inteco_abs.analysis.gains import gain_changes, steps
 from inteco_abs.analysis.tolerance import DISCRETE, OUTPUTS, Array, Shift, Tolerance, bits, shifts
 from inteco_abs.control import Pipeline
 from inteco_abs.errors import SessionError
@@ -170,7 +170,8 @@ class _Comparison:
 
 def _compared(session: Session, pipeline: Pipeline, compiled: bool | None) -> _Comparison:
     """Decisions of a new `pipeline` beside the log."""
-    loops = compiled_loops(session, pipeline.estimator, pipeline.machine.controller, compiled)
+    changes = gain_changes(session)
+    loops = None if changes else compiled_loops(session, pipeline.estimator, pipeline.machine.controller, compiled)
     if loops is not None:
         found, replay = _Comparison(), loops.module.CompiledReplay(pipeline, loops.may_compile)
         for logged in _ticks(session):
@@ -184,7 +185,7 @@ def _compared(session: Session, pipeline: Pipeline, compiled: bool | None) -> _C
     found = _Comparison()
     with recorded_arithmetic(session):
         for logged in _ticks(session):
-            found.add(logged, TICK.array_of(starmap(pipeline.step, _samples(logged))))
+            found.add(logged, TICK.array_of(steps(pipeline, _samples(logged), changes)))
     return found
 
 
@@ -209,7 +210,7 @@ def decisions(session: Session, pipeline: Pipeline) -> Array:
     Raises SessionError as `require_inputs`.
     """
     with recorded_arithmetic(session):
-        return TICK.array_of(starmap(pipeline.step, samples(session)))
+        return TICK.array_of(steps(pipeline, samples(session), gain_changes(session)))
 
 
 def require_known(session: Session) -> None:

@@ -40,6 +40,7 @@ def info(file: Path, everything: bool, as_json: bool) -> int:
 
 
 def _summary(session: Session) -> dict[str, Any]:
+    from inteco_abs.analysis import listed_changes
     from inteco_abs.sessions import gains_of, stored_card
 
     return {
@@ -53,6 +54,7 @@ def _summary(session: Session) -> dict[str, Any]:
         "frames": session.frames,
         "attachments": {name: len(data) for name, data in session.attachments.items()},
         "gains": {each.name: {"unit": each.unit, "meaning": each.meaning} for each in gains_of(session.channels)},
+        "changes": listed_changes(session),
         "metadata": {name: facts for name, facts in session.metadata.items() if name != "result"},
         "result": stored_card(session.metadata),
     }
@@ -95,6 +97,11 @@ def _first_facts(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     yield "controller", f"{joined('controller', 'name') or '-'} on {joined('controller', 'estimator') or '-'}"
     reference = joined("controller", "reference") or joined("controller", "reference_slip") or "-"
     yield "gains", ", ".join([f"reference_slip={reference}", *gains])
+    if summary["changes"]:
+        yield (
+            "changes",
+            ", ".join(f"{name}: {value}" for name, value in summary["changes"].items()),
+        )
     yield "board", f"{joined('rig', 'board', 'logic_version', 'application_name')}, profile {joined('rig', 'profile')}"
     yield "rig", f"{place}, {time}"
     if faults := metadata.get("injected"):

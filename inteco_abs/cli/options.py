@@ -166,6 +166,8 @@ class RunOptions:
     """KEY=VALUE each, over the file."""
     controller: str | None = None
     estimator: str | None = None
+    changes: tuple[str, ...] = ()
+    """NAME=VALUE@WHEN each, in place of `experiment.changes`."""
     faults: tuple[str, ...] = ()
     live_port: int | None = None
     live: str | None = None
@@ -183,6 +185,7 @@ class RunOptions:
         return (
             *(f"{key}.name={name}" for key, name in names.items() if name),
             *(f"description.{key}={json.dumps(value)}" for key, value in words.items() if value is not None),
+            *([f"experiment.changes={json.dumps(self.changes)}"] if self.changes else []),
         )
 
     def load(
@@ -244,6 +247,9 @@ _OPTIONS: Final = {
     "estimator": _option("--estimator", shell_complete=estimator_names,
                          help="An estimator that `inteco-abs estimators` lists: moving-window, tracking, kalman, "
                          "edge-time, observer, adaptive-observer, euler (the paper's) or difference (the vendor's)."),
+    "changes": _option("--change", multiple=True, metavar="NAME=VALUE@WHEN",
+                       help="Change a gain, or reference_slip, during the run, as in Mk=5@brake+200ms, "
+                       "reference_slip=0.3@brake2 or Mk=5@3.5s."),
     "faults": _option("--inject", multiple=True, metavar="FAULT",
                       help="Inject a fault into the mock board, as lose@brake+20ms; `inteco-abs faults` lists all."),
     "live_port": _option("--foxglove", is_flag=False, flag_value=_LIVE_PORT, type=Whole(0, 65535), metavar="[PORT]",

@@ -51,7 +51,6 @@ def replay(file: Path, controller: str | None, tolerances: tuple[str, ...], as_j
     from dataclasses import asdict
 
     from inteco_abs.analysis import (
-        REFERENCE,
         before_the_gap,
         changed_gains,
         parse_tolerances,
@@ -59,7 +58,7 @@ def replay(file: Path, controller: str | None, tolerances: tuple[str, ...], as_j
         replay_session,
         require_known,
     )
-    from inteco_abs.control import build_pipeline, control_check, gains_in_force
+    from inteco_abs.control import REFERENCE, build_pipeline, control_check, gains_in_force
     from inteco_abs.sessions import read_session, session_config
 
     given = parse_tolerances(tolerances)

@@ -278,6 +278,10 @@ class ExperimentConfig(Section):
     """Time after which a rig that still turns is stopped, by taking the brake off."""
     stops: Annotated[int, Interval(ge=1, le=1000)] = 1
     """Number of stops, one after the other, in one session."""
+    changes: Annotated[list[Annotated[str, MaxLen(100)]], MaxLen(100)] | None = None
+    """Gains, and the reference slip, to change while the run lasts, as NAME=VALUE@WHEN: `Mk=5@brake+200ms` counts from
+    the beginning of the first braking, `reference_slip=0.3@brake2` from that of the second one, `Mk=5@3.5s` from the
+    first tick; `#400` is a number of ticks. Not in sweeps."""
 
     @property
     def longest_s(self) -> float:

@@ -28,14 +28,26 @@ from inteco_abs.control.estimators import (
 from inteco_abs.control.estimators.prediction import DelayLine, braking_slip, outlook
 from inteco_abs.control.factory import (
     build_pipeline,
+    check_changes,
     config_of_stop,
     control_check,
     gains_in_force,
+    gains_to_change,
     make_controller,
     make_estimator,
     preferred_estimator,
 )
 from inteco_abs.control.functions import Function, finite_demand, finite_estimate, function_of
+from inteco_abs.control.gain_changes import (
+    MOST_CHANGES,
+    REFERENCE,
+    ChangePlan,
+    GainChange,
+    keeps_gain,
+    planned_changes,
+    set_gain,
+    value_problem,
+)
 from inteco_abs.control.guard import Guard
 from inteco_abs.control.phase_machine import REST_COUNTS, PhaseMachine, demand_of
 from inteco_abs.control.pipeline import OVER, DecisionState, Pipeline, advance_and_admit
@@ -52,10 +64,13 @@ from inteco_abs.control.wheel_dynamics import WheelDynamics
 __all__ = [
     "CONTROLLERS",
     "ESTIMATORS",
+    "MOST_CHANGES",
     "OVER",
+    "REFERENCE",
     "REST_COUNTS",
     "BoundaryLayer",
     "BrakingModel",
+    "ChangePlan",
     "Controller",
     "DecisionState",
     "DelayLine",
@@ -64,6 +79,7 @@ __all__ = [
     "EstimatorSpec",
     "Function",
     "Gain",
+    "GainChange",
     "Guard",
     "HeldDifference",
     "KalmanFilter",
@@ -85,6 +101,7 @@ __all__ = [
     "advance_and_admit",
     "braking_slip",
     "build_pipeline",
+    "check_changes",
     "config_of_stop",
     "control_check",
     "demand_of",
@@ -92,12 +109,17 @@ __all__ = [
     "finite_estimate",
     "function_of",
     "gains_in_force",
+    "gains_to_change",
+    "keeps_gain",
     "make_controller",
     "make_estimator",
     "outlook",
+    "planned_changes",
     "preferred_estimator",
     "reaching_law_torque",
     "reaching_time_bound",
     "reference_function",
+    "set_gain",
     "slip_terms",
+    "value_problem",
 ]

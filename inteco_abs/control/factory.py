@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import replace
@@ -11,6 +11,14 @@ from typing import Any
 from inteco_abs.config import Check, RigConfig, section_of
 from inteco_abs.control.controllers import CONTROLLERS, Controller, Gain, Setup
 from inteco_abs.control.estimators import ESTIMATORS, Estimator
+from inteco_abs.control.gain_changes import (
+    REFERENCE,
+    changeable_gains,
+    parse_change,
+    planned_changes,
+    reference_gain,
+    value_problem,
+)
 from inteco_abs.control.pipeline import Pipeline
 from inteco_abs.control.reference import check_reference, following
 from inteco_abs.errors import ConfigError, ConfigIssue, near_match, place_in, shortened
@@ -69,9 +77,32 @@ def gains_in_force(config: RigConfig, controllers: Mapping[str, type[Controller]
     }
 
 
+def gains_to_change(
+    pipeline: Pipeline, config: RigConfig, controllers: Mapping[str, type[Controller]] = CONTROLLERS
+) -> tuple[Gain, ...]:
+    """Gains and reference slip that can change while `pipeline`, just made, runs; their values are the defaults."""
+    values = {REFERENCE: config.controller.reference_slip, **gains_in_force(config, controllers)}
+    return changeable_gains(pipeline.machine.controller, controllers[config.controller.name].gains, values)
+
+
+def check_changes(config: RigConfig, gains: Sequence[Gain]) -> None:
+    """Raise ConfigError unless `gains`, which can change, have all that `experiment.changes` plans."""
+    planned = planned_changes(config.experiment.changes)
+    problems = dict.fromkeys(value_problem(each.name, each.value, gains) for each in planned)
+    mistakes = [ConfigIssue("experiment.changes", problem) for problem in problems if problem]
+    if mistakes:
+        raise ConfigError(mistakes)
+
+
 def config_of_stop(config: RigConfig, rig: RigVariation) -> RigConfig:
-    """`config` for one stop of a simulated rig, of a lab that knows its amplifier: the brake is limited to its cap."""
+    """`config` for one stop of a simulated rig, of a lab that knows its amplifier: the brake is limited to its cap.
+
+    Raises ConfigError for gains that change.
+    """
     guard, experiment = config.guard, config.experiment
+    if experiment.changes:
+        problem = "stops of many rigs keep their gains; leave it out, or use inteco-abs run"
+        raise ConfigError.of("experiment.changes", problem)
     limit = min(guard.brake_limit, rig.brake_duty_cap)
     return replace(config, guard=replace(guard, brake_limit=limit), experiment=replace(experiment, stops=1))
 
@@ -135,8 +166,23 @@ def control_check(
             else:
                 yield from _check_gains(name, section_of(controller, "gains"), gains)
                 yield from check_reference(name, controllers[name], controller)
+                yield from _check_changes(section_of(table, "experiment").get("changes"), gains)
 
     return check
+
+
+def _check_changes(texts: object, gains: tuple[Gain, ...]) -> Iterator[ConfigIssue]:
+    """What is wrong with planned changes, as far as it shows without the controller; `check_changes` finds the rest."""
+    known = [reference_gain(0.2), *gains]
+    for text in texts if isinstance(texts, list) else ():
+        if isinstance(text, str):
+            try:
+                change = parse_change(text)
+                problem = value_problem(change.name, change.value, known)
+            except ValueError as error:
+                problem = str(error)
+            if problem:
+                yield ConfigIssue("experiment.changes", f"{shortened(text)}: {problem}")
 
 
 def _check_parameters(name: object, estimator: Mapping[str, Any], loop: Mapping[str, Any]) -> Iterator[ConfigIssue]:

@@ -11,6 +11,7 @@ from typing import Final
 from inteco_abs.config import RigConfig
 from inteco_abs.control.controllers import Controller
 from inteco_abs.control.count_speed import Window, WindowConstants, empty_window, mean_speeds, window_constants
+from inteco_abs.control.gain_changes import set_gain
 from inteco_abs.errors import line_of
 from inteco_abs.signals import BrakeDemand, Estimate, Phase, Reason, Sample
 
@@ -107,6 +108,12 @@ class PhaseMachine(MachineState):
         """Request SAFE: estimator or controller failed."""
         self.drive_request, self.brake_request, self.held = 0.0, 0.0, False
         self.reason = Reason.CONTROLLER_ERROR
+
+    def change_gain(self, name: str, value: float) -> None:
+        """Change a gain of the controllers of this stop and of those after it. Raises as `set_gain`."""
+        set_gain(self.controller, name, value)
+        if self.controller_as_made is not self.controller:
+            set_gain(self.controller_as_made, name, value)
 
     def advance(self, sample: Sample, estimate: Estimate) -> None:
         """Advance by one sample; the request is in the state."""

@@ -9,6 +9,7 @@ from typing import Final
 from inteco_abs.config import RigConfig
 from inteco_abs.control.controllers import Controller
 from inteco_abs.control.estimators import Estimator
+from inteco_abs.control.gain_changes import REFERENCE
 from inteco_abs.control.guard import Guard, GuardConstants, GuardState, admit, trip
 from inteco_abs.control.phase_machine import MachineConstants, MachineState, PhaseMachine, advance_phase
 from inteco_abs.control.reference import reference_function
@@ -94,6 +95,23 @@ class Pipeline:
         self._estimate = Estimate(s.wheel_speed, s.road_speed, s.slip, s.valid)
         internals = s.c0, s.c1, s.c2, s.c3
         self.machine.last_demand = BrakeDemand(s.demanded, s.torque_nm, s.switching, internals)
+
+    def change(self, name: str, value: float) -> None:
+        """Give the controller, also of all further stops, another gain or `reference_slip` from the next sample on.
+
+        As in `step`, what a user's controller raises ends the run.
+        """
+        if self.error is not None:
+            return
+        try:
+            self.machine.change_gain(name, value)
+        except (Exception, SystemExit) as error:  # noqa: BLE001  as in `decide`
+            self.error = error
+            self._estimate = _NO_ESTIMATE
+            self.machine.fail()
+        else:
+            if name == REFERENCE:
+                self._constant_slip = value
 
     def step(self, sample: Sample, stop_request: Reason = Reason.NONE, timing: Timing = UNTIMED) -> Tick:
         """Decide on one sample; the tick's `drive` and `brake` are the command for the next exchange."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar, Final
 
@@ -12,6 +12,7 @@ from inteco_abs.config import ControllerConfig, RigConfig
 from inteco_abs.control.controllers import Controller, Gain
 from inteco_abs.control.formula import evaluate, parse_formula
 from inteco_abs.control.functions import Function, function_of
+from inteco_abs.control.gain_changes import REFERENCE, keeps_gain, set_gain
 from inteco_abs.control.peak_search import PeakState, seek_peak
 from inteco_abs.errors import ConfigIssue, shortened
 from inteco_abs.quantities import Quantity
@@ -166,6 +167,15 @@ class FollowingController(ReferenceState):
         """`follow` with the function of the law, or None where that has none."""
         law = function_of(self.law)
         return None if law is None else partial(follow, law=law, slip_now=self.slip_now)
+
+    def keeps_gain(self, name: str, value: float) -> bool:
+        """Whether the law keeps the gain; the reference follows its own course."""
+        return name != REFERENCE and keeps_gain(self.law, name, value)
+
+    def change_gain(self, name: str, value: float) -> None:
+        """Give the law another value of a gain. Raises as `set_gain`."""
+        set_gain(self.law, name, value)
+        self.k = replace(self.k, law=getattr(self.law, "k", None))
 
     def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:
         """Demand of the law at the reference of this tick."""

@@ -7,7 +7,7 @@ from contextlib import redirect_stdout
 from dataclasses import replace
 
 from inteco_abs.config import RigConfig
-from inteco_abs.control import build_pipeline
+from inteco_abs.control import build_pipeline, check_changes, gains_to_change
 from inteco_abs.experiment.plan import Plan, RunProgress, run_checks
 from inteco_abs.experiment.real_time import run_in_real_time
 from inteco_abs.experiment.user_code import time_limit
@@ -33,6 +33,7 @@ def run_stop(
     with redirect_stdout(sys.stderr):
         with time_limit():
             pipeline = build_pipeline(config, plan.controllers)
+            check_changes(config, gains_to_change(pipeline, config, plan.controllers))
         plan = replace(plan, controller_source=with_files(config.controller.name, plan.controller_source))
         if not plan.virtual:
             return run_in_real_time(config, plan, screen or NoScreen())

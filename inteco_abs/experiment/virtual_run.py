@@ -13,12 +13,13 @@ from typing import Any, Final
 
 from inteco_abs.boards import Board, InProcessLink, board_behind
 from inteco_abs.config import RigConfig
-from inteco_abs.control import OVER, Controller, Pipeline, gains_in_force
+from inteco_abs.control import OVER, Controller, GainChange, Pipeline, gains_in_force, gains_to_change
 from inteco_abs.errors import SessionError, UnsafeError, describe_error
 from inteco_abs.experiment.plan import Plan, RunProgress, facts_of, job_of, ring_ticks
 from inteco_abs.mock_board import Device, FaultyDevice, FaultyFrontEnd, FaultyHost, FrontEnd, Schedule, front_end_of
 from inteco_abs.quantities import quantities
 from inteco_abs.realtime import (
+    GainChanges,
     Histogram,
     Loop,
     Screen,
@@ -77,6 +78,10 @@ class VirtualRun:
         self._ring = TickRing(pack_tick, TICK.size, capacity)
         self._truths = TickRing(TRUTH.pack_into, TRUTH.size, capacity)
         self._window = Window(self._ring.reader(), self._truths.reader())
+        self._made: list[GainChange] = []
+        """Changes of gains that are not in the file yet."""
+        gains = gains_to_change(pipeline, config, plan.controllers)
+        self._changes = GainChanges(config, pipeline, gains, self._made.append)
         self._compile: Callable[[CompiledLoops], Any] | None = None
         self._compiled: Any = None  # the CompiledRun that has the state of board, rig and pipeline now
 
@@ -140,7 +145,7 @@ class VirtualRun:
 
     def _drive(self, writer: FailoverWriter, board: Board, progress: RunProgress | None, screen: Screen) -> None:
         snapshots = SnapshotSource(self._ring.reader(), Histogram(), self._config.loop.rate_hz)
-        loop = Loop(board, self._pipeline, self._clock, self._ring, self._interrupts.stop)
+        loop = Loop(board, self._pipeline, self._clock, self._ring, self._interrupts.stop, self._changes)
         self._window.skip_truths()  # truths from opening the board belong to no tick
         try:
             over = False
@@ -164,7 +169,9 @@ class VirtualRun:
                 self._record(writer, last=True)
 
     def _run_slice(self, loop: Loop) -> bool:
-        """Run some ticks; True once the experiment is over. Many of a program are compiled."""
+        """Run some ticks; True once the experiment is over. Many of a program are compiled, if no gain changes."""
+        if not self._changes.over:
+            return loop.run(_SLICE_TICKS)
         loops = self._paying_loops() if self._compiled is None and self._compile is not None else None
         if loops is not None:
             if not self._ring.written and loop.run(1):  # compiled ticks follow a good exchange
@@ -207,7 +214,10 @@ class VirtualRun:
             compiled.resume()
 
     def _record(self, writer: FailoverWriter, *, last: bool) -> None:
-        writer.add(*self._window.more(last=last))
+        rows = self._window.more(last=last)
+        writer.change(self._made)
+        self._made.clear()
+        writer.add(*rows)
         if self._window.waiting > self._window.room:
             writer.flush()
             if writer.writing:

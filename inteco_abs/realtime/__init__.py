@@ -1,6 +1,7 @@
 """The loop with its clocks and its memory, and the processes of a real-time run."""
 
 from inteco_abs.realtime.clock import Beat, Clock, PacedClock, VirtualClock
+from inteco_abs.realtime.gain_changes import GainChanges
 from inteco_abs.realtime.histogram import Histogram
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.loop import Loop, StopFlag, StopSource, detail_of
@@ -57,6 +58,7 @@ __all__ = [
     "Clock",
     "Core",
     "Field",
+    "GainChanges",
     "Histogram",
     "Job",
     "Lines",

@@ -10,6 +10,7 @@ from inteco_abs.boards import Board
 from inteco_abs.control import Pipeline
 from inteco_abs.errors import AbsError, describe_error
 from inteco_abs.realtime.clock import Clock
+from inteco_abs.realtime.gain_changes import GainChanges
 from inteco_abs.realtime.ring import TickRing
 from inteco_abs.signals import Reason, Timing
 
@@ -48,9 +49,18 @@ class Loop:
     """One experiment on an entered board, until the pipeline has finished.
 
     A tick writes the command of the tick before, reads the board, decides, records: one period of delay, always.
+    `changes` may change gains just before it decides.
     """
 
-    def __init__(self, board: Board, pipeline: Pipeline, clock: Clock, ring: TickRing, stop: StopSource) -> None:
+    def __init__(
+        self,
+        board: Board,
+        pipeline: Pipeline,
+        clock: Clock,
+        ring: TickRing,
+        stop: StopSource,
+        changes: GainChanges | None = None,
+    ) -> None:
         self.skipped = 0
         """Periods without a tick so far."""
         self._board = board
@@ -59,6 +69,7 @@ class Loop:
         self._beats = iter(clock)
         self._ring = ring
         self._stop = stop
+        self._changes = changes
         self._busy_us = 0.0
 
     def run(self, most: int | None = None) -> bool:
@@ -79,11 +90,14 @@ class Loop:
     def _run(self, most: int | None) -> bool:
         exchange, step, append = self._board.exchange, self._pipeline.step, self._ring.append
         now, wanted, pipeline = self._clock.now_ns, self._stop.wanted, self._pipeline
+        change = None if self._changes is None or self._changes.over else self._changes.before
         command, busy_us = pipeline.command, self._busy_us
         for deadline, skipped in islice(self._beats, most):
             start = now()
             sample = exchange(command)
             read = now()
+            if change is not None:
+                change(sample)
             timing = Timing((start - deadline) * 1e-3, (read - start) * 1e-3, busy_us, skipped)
             tick = step(sample, wanted(read), timing)
             command = pipeline.command

@@ -18,7 +18,14 @@ from inteco_abs.sessions.channels import (
     row_channel,
 )
 from inteco_abs.sessions.container import DamagedError
-from inteco_abs.sessions.content import CONFIG_NAME, CONTROLLER_FILES, CONTROLLER_SOURCE, RECOVERED, LogEntry
+from inteco_abs.sessions.content import (
+    CONFIG_NAME,
+    CONTROLLER_FILES,
+    CONTROLLER_SOURCE,
+    RECOVERED,
+    LogEntry,
+    changes_among,
+)
 from inteco_abs.sessions.copying import write_copy
 from inteco_abs.sessions.environment import Environment, current_environment
 from inteco_abs.sessions.export import FORMATS, Export, export_session, write_parquet
@@ -100,6 +107,7 @@ __all__ = [
     "atomic_write",
     "attached",
     "card_of",
+    "changes_among",
     "check_folder",
     "check_output",
     "check_spill",

@@ -63,6 +63,8 @@ class RunningCard:
         self._lateness = _Lateness()
         self._stops: list[dict[str, Any]] = []
         self._stop, self._truth = bytearray(), bytearray()
+        self._references = set[float]()
+        """Reference slips so far, of each stop the two smallest."""
 
     def add(self, ticks: Array, truth: Array) -> None:
         """Add ticks, and the states of the simulated rig up to at least the last of them."""
@@ -82,6 +84,7 @@ class RunningCard:
         """The card so far, including an unfinished stop."""
         config = self._config
         cards = [*self._stops, *([self._stop_card(config)] if config is not None and self._stop else [])]
+        constant = None if config is None or len(self._references) > 1 else config.controller.constant_slip
         card = {
             "controller": None if config is None else config.controller.name,
             "estimator": None if config is None else config.estimator.name,
@@ -89,7 +92,7 @@ class RunningCard:
             "overruns": self._overruns,
             "stops": None if config is None else len(cards),
             "start_speed_rad_s": None,
-            "reference_slip": None if config is None else config.controller.constant_slip,
+            "reference_slip": constant,
             **dict.fromkeys(_STOP_METRICS),
             "lateness_us": self._lateness.percentiles(),
         }
@@ -126,10 +129,10 @@ class RunningCard:
             road_angle_rad=counts * 2.0 * math.pi / config.encoders.counts_per_turn,
             brake=stop["brake"],
         )
-        reference: float | Array = config.controller.reference_slip
-        if config.controller.constant_slip is None:
-            recorded = stop["slip_reference"]  # NaN once stopped
-            reference = np.where(np.isnan(recorded), reference, recorded)
+        recorded = stop["slip_reference"]
+        known = recorded > 0.0  # NaN once stopped
+        self._references.update(np.unique(recorded[known]).tolist()[:2])
+        reference = np.where(known, recorded, config.controller.reference_slip)
         metrics = stop_metrics(trace, reference, nominal_parameters(config.model))
         if true is not None:
             metrics |= {name: metrics[name.removesuffix("_true")] for name in _STOP_METRICS if name.endswith("_true")}

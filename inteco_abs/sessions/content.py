@@ -11,6 +11,7 @@ from typing import Final, NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
+from inteco_abs.control import GainChange
 from inteco_abs.format import IO_TOPIC, LOG_TOPIC, PARAMETERS_TOPIC, TICK, TRUTH, Message
 from inteco_abs.format import fields as wire_fields
 from inteco_abs.sessions.container import (
@@ -175,9 +176,7 @@ class Content:
         if runs.keys() & FLAT.keys():
             self.check_schemas()
         self.take_log(runs.get(LOG_TOPIC, ()))
-        for run in runs.get(PARAMETERS_TOPIC, ()):
-            self.budget.part(len(run.rows), run.rows.nbytes)
-            self.parameters += map(parameters, run.rows["data"].tolist())
+        self.take_parameters(runs.get(PARAMETERS_TOPIC, ()))
         batches = self.batches(runs)
         if TICK.topic in batches:
             ticks = batches[TICK.topic]
@@ -205,6 +204,12 @@ class Content:
         for run in runs:
             self.budget.part(len(run.rows), run.rows.nbytes)
             self.events += map(event, run.rows["log_time"].tolist(), run.rows["data"].tolist())
+
+    def take_parameters(self, runs: Iterable[FixedRun]) -> None:
+        """Read gains and reference. Raises DamagedError at a message that is not valid."""
+        for run in runs:
+            self.budget.part(len(run.rows), run.rows.nbytes)
+            self.parameters += map(parameters, run.rows["data"].tolist())
 
     def check_schemas(self) -> None:
         """Find the layouts of ticks and truths. Raises DamagedError if this version cannot read them."""
@@ -268,6 +273,12 @@ _TAKERS: Final[Mapping[int, Callable[[Content, memoryview], None]]] = {
     Opcode.MESSAGE_INDEX: Content._take_index,  # noqa: SLF001
     Opcode.ATTACHMENT: Content._take_attachment,  # noqa: SLF001
 }
+
+
+def changes_among(found: Iterable[Parameters]) -> list[GainChange]:
+    """Gains that were changed while the run lasted, in the order in which they took effect."""
+    changes = [GainChange(part.tick, *each) for part in found if part.tick for each in part.values.items()]
+    return sorted(changes, key=lambda change: change.tick)
 
 
 def event(log_time: int, data: bytes) -> LogEntry:

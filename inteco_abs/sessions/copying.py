@@ -11,7 +11,7 @@ import numpy as np
 
 from inteco_abs.format import IO_TOPIC
 from inteco_abs.sessions.channels import gains_of, internals_of
-from inteco_abs.sessions.content import LogEntry
+from inteco_abs.sessions.content import LogEntry, changes_among
 from inteco_abs.sessions.file_writer import FileWriter
 from inteco_abs.sessions.frames import packed_frames, read_frames
 from inteco_abs.sessions.reader import Session
@@ -35,8 +35,8 @@ def write_copy(
 ) -> None:
     """Write the ticks and truths of `blocks` to the new file `path`, as the same session at the same time of day.
 
-    Changes of phase and faults are logged again; `log` has other entries. Gains and reference are those of the session.
-    Raises SessionError.
+    Changes of phase and faults are logged again; `log` has other entries. Gains and reference, and their changes, are
+    those of the session. Raises SessionError.
     """
     facts = session.metadata.get("session", {})
     parts = iter(blocks)
@@ -55,7 +55,8 @@ def write_copy(
                 recorder.describe(name, left)
         for name, data in attachments.items():
             recorder.attach(name, session.media_types.get(name, ""), data)
-        recorder.begin(session.parameters[0].values if session.parameters else {})
+        recorder.begin(next((part.values for part in session.parameters if not part.tick), {}))
+        recorder.change(changes_among(session.parameters))
         for part in _with_log(chain([(first, states)], parts), log, session.epoch_ns):
             if isinstance(part, LogEntry):
                 recorder.event(*part)

@@ -6,7 +6,7 @@ caller, which keeps rows until they are in a file.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +15,7 @@ from typing import Self
 import numpy as np
 
 from inteco_abs.config import RigConfig
+from inteco_abs.control import GainChange
 from inteco_abs.errors import AbsError, ConfigError, SessionError, describe_disk, on_one_line
 from inteco_abs.format import TICK, TRUTH, Message
 from inteco_abs.sessions.environment import Environment
@@ -154,6 +155,18 @@ class FailoverWriter:
             self._begun.remember(ticks, truths)
         else:
             self._attempt(lambda: self._begun.add(ticks, truths))
+
+    def change(self, changes: Sequence[GainChange]) -> None:
+        """Add changes of gains, before the ticks from which on they hold."""
+        if self._failed:
+            self._begun.changes += changes
+        elif changes:
+            self._attempt(lambda: self._begun.change(changes))
+
+    @property
+    def changes(self) -> Sequence[GainChange]:
+        """Gains changed so far."""
+        return self._begun.changes
 
     def flush(self) -> None:
         """Write everything so far to the file; it reaches the disk while this program goes on."""

@@ -7,6 +7,7 @@ import json
 import os
 import time
 import uuid
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -19,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 
+from inteco_abs.control import GainChange
 from inteco_abs.errors import SessionError, describe_disk
 from inteco_abs.format import (
     IO_NAME,
@@ -31,6 +33,7 @@ from inteco_abs.format import (
 )
 from inteco_abs.quantities import Quantity
 from inteco_abs.sessions.channels import (
+    INFO,
     WARNING,
     Channel,
     StateEvents,
@@ -94,6 +97,8 @@ class FileWriter:
         self._disk = Disk(path)
         self._file = BufferedWriter(self._disk)
         self._writer = McapWriter(self._file, f"inteco-abs/{version('inteco-abs')}")
+        self._changes = deque[GainChange]()
+        """Changes of gains whose tick did not come yet."""
         self._waiting = {message.topic: bytearray() for message in (TICK, TRUTH)}
         """Ticks and states that are not in the chunk yet."""
         self._tick_channel = self._channel(row_channel(TICK, internals))
@@ -153,6 +158,10 @@ class FileWriter:
         self._writer.end_chunk()
         self._settle(wait=True)
 
+    def change(self, changes: Iterable[GainChange]) -> None:
+        """Add changes of gains, in order, before the ticks from which on they hold."""
+        self._changes += changes
+
     def ticks(self, records: bytes) -> None:
         """Add tick records, back to back, and an event for every change of phase and every fault among them."""
         self._hash.update(records)
@@ -179,8 +188,9 @@ class FileWriter:
         tick_ns, state_ns = (rows["time_ns"] + np.uint64(self._epoch_ns % (1 << 64)) for rows in (ticks, states))
         before = np.searchsorted(state_ns, tick_ns, side="right")
         turns = np.diff(before, prepend=0)  # states before each tick and after the previous one
-        events = dict(self._states.among(ticks))
-        edges = {0, *(np.flatnonzero(np.diff(turns)) + 1).tolist(), *events, *(at + 1 for at in events), len(ticks)}
+        events, changes = dict(self._states.among(ticks)), self._changes_among(ticks)
+        single = events.keys() | changes.keys()
+        edges = {0, *(np.flatnonzero(np.diff(turns)) + 1).tolist(), *single, *(at + 1 for at in single), len(ticks)}
         for start, end in pairwise(sorted(edges)):
             first = int(before[start] - turns[start])
             rows = slice(start, end)
@@ -189,6 +199,8 @@ class FileWriter:
                     self._pack_states(states[first : before[at]], state_ns[first : before[at]])
                     for level, text in events.get(at, ()):
                         self.event(int(tick_ns[at]), level, text)
+                    for change in changes.get(at, ()):
+                        self._put_change(int(tick_ns[at]), change)
                     self._writer.add_messages(self._tick_messages(ticks[at : at + 1], tick_ns[at : at + 1]))
                     first = before[at]
             elif turns[start]:
@@ -203,6 +215,19 @@ class FileWriter:
         self._pack_states(states[last:], state_ns[last:])
         for times_ns in (tick_ns, state_ns):
             self._newest_ns = max(self._newest_ns, int(times_ns.max(initial=0)))
+
+    def _changes_among(self, ticks: npt.NDArray[np.void]) -> dict[int, list[GainChange]]:
+        """Take the changes up to the last of `ticks`, by the index of the first tick that has them."""
+        found: dict[int, list[GainChange]] = {}
+        while self._changes and len(ticks) and self._changes[0].tick <= ticks["tick"][-1]:
+            change = self._changes.popleft()
+            found.setdefault(int(np.searchsorted(ticks["tick"], change.tick)), []).append(change)
+        return found
+
+    def _put_change(self, stamp_ns: int, change: GainChange) -> None:
+        tick, name, value = change
+        self._writer.add_message(self._parameter_channel, stamp_ns, pack_parameters({name: value}, tick))
+        self.event(stamp_ns, INFO, f"{name} = {value:.6g} from tick {tick}")
 
     def _pack_states(self, rows: npt.NDArray[np.void], times_ns: npt.NDArray[np.uint64]) -> None:
         if len(rows):
@@ -262,6 +287,8 @@ class FileWriter:
     def finish(self, outcome: str, reason: str, result: Mapping[str, Any], ended_utc: str = "") -> None:
         """Complete the file: outcome, result card, hash of the payloads, index. Without `ended_utc`, it ends now."""
         self._pack()
+        while self._changes:  # their ticks were lost
+            self._put_change(self._newest_ns, self._changes.popleft())
         self._write_result(result)
         self._writer.end_chunk()  # the last ticks come before the result
         self.describe(

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from inteco_abs.config import RigConfig, parse_config
 from inteco_abs.errors import ConfigError, SessionError
-from inteco_abs.format import IO_TOPIC, LOG_TOPIC, TICK, TRUTH, Message
+from inteco_abs.format import IO_TOPIC, LOG_TOPIC, PARAMETERS_TOPIC, TICK, TRUTH, Message
 from inteco_abs.sessions.card import RunningCard
 from inteco_abs.sessions.channels import gains_of, internals_of
 from inteco_abs.sessions.container import (
@@ -28,7 +28,7 @@ from inteco_abs.sessions.container import (
     chunk_parts,
     kind,
 )
-from inteco_abs.sessions.content import CONFIG_NAME, FLAT, RECOVERED, Batch, Content
+from inteco_abs.sessions.content import CONFIG_NAME, FLAT, RECOVERED, Batch, Content, changes_among
 from inteco_abs.sessions.file_writer import FileWriter, utc
 from inteco_abs.sessions.files import atomic_write, check_output
 from inteco_abs.sessions.migration import MessageLayout, migrated
@@ -224,6 +224,7 @@ class _Intact:
             if topic == TICK.topic:
                 self.content.hash.update(batch.data)
         self.content.take_log(runs.get(LOG_TOPIC, ()))
+        self.content.take_parameters(runs.get(PARAMETERS_TOPIC, ()))
 
     def _topic(self, run: FixedRun) -> str:
         """Topic of messages; if their channel's declaration is lost, by their size."""
@@ -306,6 +307,7 @@ class _RecoveredSession:
         for name, attached in self._content.attachments.items():
             recorder.attach(name, attached.media_type, attached.data)
         recorder.begin(dict(self._parameters()))
+        recorder.change(changes_among(self._content.parameters))
         for name, facts in self._facts.items():
             kept = {key: value for key, value in facts.items() if name != "session" or key not in _REWRITTEN}
             if name not in {"result", "integrity", "recovery", "frames"}:

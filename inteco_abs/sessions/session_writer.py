@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from inteco_abs.boards import simulated
 from inteco_abs.config import RigConfig
+from inteco_abs.control import GainChange
 from inteco_abs.errors import CaptureError
 from inteco_abs.format import TICK, TRUTH
 from inteco_abs.quantities import Quantity
@@ -114,6 +115,8 @@ class SessionWriter:
         self._drawn = config.simulation.rig if simulated(header.board) else ""
         self.card = RunningCard(config)
         """The running result card, which continues from file to file."""
+        self.changes: list[GainChange] = []
+        """Gains changed so far."""
 
     def write_header(self) -> None:
         """Write everything that explains the run to the disk, before the first tick."""
@@ -166,6 +169,11 @@ class SessionWriter:
         self.remember(ticks, truths)
         self.write(ticks, truths)
 
+    def change(self, changes: Sequence[GainChange]) -> None:
+        """Add changes of gains, before the ticks from which on they hold."""
+        self.changes += changes
+        self._recorder.change(changes)
+
     def remember(self, ticks: bytes, truths: bytes) -> None:
         """Add rows to the card only."""
         self.card.add(TICK.array(ticks), TRUTH.array(truths))
@@ -180,6 +188,7 @@ class SessionWriter:
         other = SessionWriter(recorder, self._config, self.header, session)
         other.write_header()
         other.card = self.card
+        other.change(self.changes)
         return other
 
     def finish(self, end: RunEnd) -> RunResult:

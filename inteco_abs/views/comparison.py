@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from inteco_abs.analysis import recorded_gains, settings_of
+from inteco_abs.analysis import recorded_gains, settings_of, times_of_changes_ns
 from inteco_abs.errors import ConfigError, ConfigIssue
 from inteco_abs.sessions import PhaseSpan, Session
 from inteco_abs.signals import Phase
@@ -46,6 +46,12 @@ def since_s(rows: Array, start: int) -> Array:
     """Time of each row since `start`, s."""
     seconds: Array = (rows["time_ns"].astype(np.int64) - start) * 1e-9
     return seconds
+
+
+def changes_s(session: Session) -> tuple[float, ...]:
+    """Times at which gains changed, since `start_ns`, s. The session has ticks."""
+    start = start_ns(session)
+    return tuple((time_ns - start) * 1e-9 for time_ns in times_of_changes_ns(session))
 
 
 def held_spans(session: Session) -> list[PhaseSpan]:

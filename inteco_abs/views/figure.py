@@ -17,7 +17,7 @@ import numpy.typing as npt
 from inteco_abs.errors import AbsError, ConfigError, describe_disk
 from inteco_abs.format import TICK, TRUTH
 from inteco_abs.sessions import Session, atomic_write, check_output
-from inteco_abs.views.comparison import PALETTE, held_spans, labels, require_distinct, since_s, start_ns
+from inteco_abs.views.comparison import PALETTE, changes_s, held_spans, labels, require_distinct, since_s, start_ns
 from inteco_abs.views.decimation import Decimator
 
 if TYPE_CHECKING:
@@ -165,6 +165,7 @@ def _drawn(sessions: Sequence[Session], width: FigureSize, most: int = _DRAWN_PO
     else:
         _compared(axes, parts)
         _name_sessions(figure, axes[0], parts, width)
+    _mark_changes(axes, sessions)
     axes[0].set_ylabel("speed [rad/s]")
     axes[0].set_ylim(bottom=0.0)
     axes[1].set_ylim(0.0, slip_top(highest_slip(rows) for part in parts for rows in _slip_rows(part, parts)))
@@ -176,6 +177,17 @@ def _drawn(sessions: Sequence[Session], width: FigureSize, most: int = _DRAWN_PO
             panel.legend(loc="upper right", frameon=False, fontsize="small")
         panel.set_xlim(-_BEFORE_S, max(part.end_s for part in parts))
     return figure
+
+
+def _mark_changes(axes: Sequence[Axes], sessions: Sequence[Session]) -> None:
+    """A line at each time at which a gain changed, in the session's colour if there are several."""
+    label = "gain changed"
+    for session, colour in zip(sessions, PALETTE if len(sessions) > 1 else ("black",), strict=False):
+        for time_s in changes_s(session):
+            for panel in axes:
+                panel.axvline(time_s, color=colour, lw=0.6, ls=(0, (1, 2)))
+            axes[2].get_lines()[-1].set_label(label)
+            label = ""
 
 
 def slip_top(highest: Iterable[float]) -> float:

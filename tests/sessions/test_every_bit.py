@@ -8,8 +8,8 @@ from itertools import product
 import numpy as np
 import pytest
 
-from inteco_abs.analysis import REFERENCE, changed_gains, replay_session
-from inteco_abs.control import CONTROLLERS, build_pipeline, control_check, gains_in_force
+from inteco_abs.analysis import changed_gains, replay_session
+from inteco_abs.control import CONTROLLERS, REFERENCE, build_pipeline, control_check, gains_in_force
 from inteco_abs.errors import SessionError
 from inteco_abs.format.protobuf import chunk, double, tag
 from inteco_abs.format.schema import Role

@@ -31,6 +31,8 @@ class Gain(NamedTuple):
     unit: str
     """As in UCUM, such as `1/s` or `N.m`; `1` for a number without a dimension."""
     meaning: str
+    fixed: bool = False
+    """Whether it stays while a run lasts, as one that sizes what the controller keeps."""
 
     @property
     def quantity(self) -> Quantity:

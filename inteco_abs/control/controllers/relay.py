@@ -134,7 +134,7 @@ class SmithRelay(SmithState):
     function: ClassVar[Function] = staticmethod(smith_relay)
     gains: ClassVar[tuple[Gain, ...]] = (
         *_LEVELS,
-        Gain("dead_time_s", 0.027, 0.0, 0.2, "s", "time until a command acts"),
+        Gain("dead_time_s", 0.027, 0.0, 0.2, "s", "time until a command acts", fixed=True),
         Gain("rise_per_s", 11.0, 0.0, 100.0, "1/s", "slip rate with the brake on"),
         Gain("fall_per_s", 1.74, 0.0, 100.0, "1/s", "slip rate with the brake off, downwards"),
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
-from inteco_abs.analysis import recorded_gains, settings_of
+from inteco_abs.analysis import listed_changes, recorded_gains, settings_of
 from inteco_abs.sessions import Session, card_of
 from inteco_abs.views.result_panel import ROWS
 
@@ -45,7 +45,7 @@ def result_rows(sessions: Sequence[Session]) -> list[FactRow]:
 
 def fact_tables(sessions: Sequence[Session]) -> list[FactTable]:
     """Gains, configuration and every metadata record; the payload's hash is in `integrity`."""
-    gains = [{**_controller(session), **recorded_gains(session)} for session in sessions]
+    gains = [{**_controller(session), **recorded_gains(session), **listed_changes(session)} for session in sessions]
     settings = [{key: str(value) for key, value in settings_of(session).items()} for session in sessions]
     records = dict.fromkeys(name for session in sessions for name in session.metadata if name not in _SHOWN_ELSEWHERE)
     found = [_facts("controller and gains", gains), _facts("configuration", settings)]

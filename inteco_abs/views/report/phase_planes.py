@@ -39,7 +39,16 @@ def phase_plane(traces: Sequence[ReportTrace]) -> Drawing:
             LegendEntry(look.letter, look.colour, "solid", look.sign, _line(plot, trace, "slip", look.colour, "solid"))
             for trace, look in ((trace, trace.look) for trace in traces)
         ]
-    for reference in {_reference(trace) for trace in traces} - {None}:
+    constant = set()
+    for trace in traces:
+        references = trace.points.columns["slip_reference"]
+        known = np.isfinite(references)
+        if len(found := np.unique(references[known])) == 1:
+            constant.add(float(found[0]))
+        elif len(found):
+            speed, dotted = trace.points.columns["road_speed_rad_s"][known], {"line_color": GREY, "line_dash": "dotted"}
+            plot.line(speed, references[known], name=f"plane-{trace.look.letter}-reference", **dotted)
+    for reference in constant:
         plot.add_layout(Span(location=reference, dimension="width", line_color=GREY, line_dash="dotted"))
     caption = "marker: where braking began; dotted: the reference"
     return Drawing("plane", "Slip over speed while braking", caption, plot, tuple(legend))
@@ -55,12 +64,6 @@ def _line(plot: Any, trace: ReportTrace, column: str, colour: str, dash: str) ->
     plot.line(speed, slip, name=names[0], line_color=colour, line_dash=dash, line_width=1.5)
     plot.scatter(speed[:1], slip[:1], name=names[1], marker=trace.look.marker, size=9, color=colour)
     return names
-
-
-def _reference(trace: ReportTrace) -> float | None:
-    known = trace.points.columns["slip_reference"]
-    known = known[np.isfinite(known)]
-    return float(known[0]) if len(known) else None
 
 
 def timing_histogram(traces: Sequence[ReportTrace]) -> Drawing:

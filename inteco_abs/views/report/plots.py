@@ -120,6 +120,11 @@ def _drawing(
     plot.y_range = DataRange1d(only_visible=True, range_padding=0.05)
     if panel.key == "slip":
         plot.y_range = Range1d(-0.02, max(map(_highest_slip, traces)))
+    changes = [(time_s, trace.look.colour) for trace in traces for time_s in trace.changes_s]
+    for time_s, colour in changes:
+        line = {"line_color": colour if len(traces) > 1 else GREY, "line_dash": "dotdash"}
+        plot.add_layout(Span(location=time_s, dimension="height", name="change", **line))
+    changed = "dash-dotted: a gain changed" if changes else ""
     if len(traces) == 1:
         draw_bands(plot, traces[0])
         if panel.key == "slip":
@@ -129,7 +134,7 @@ def _drawing(
             for line in panel.lines
             if line.column in traces[0].points.columns
         ]
-        return Drawing(panel.key, panel.title, "", plot, tuple(legend))
+        return Drawing(panel.key, panel.title, changed, plot, tuple(legend))
     legend = []
     compared = [line for line in panel.lines if line.compared]
     for trace, source in zip(traces, sources, strict=True):
@@ -139,7 +144,7 @@ def _drawing(
         legend.append(LegendEntry(trace.look.letter, trace.look.colour, "solid", trace.look.sign, tuple(names)))
     names_by_dash = ", ".join(f"{line.dash}: {line.name}" for line in compared)
     caption = names_by_dash if len(compared) > 1 else compared[0].name
-    return Drawing(panel.key, panel.title, caption, plot, tuple(legend))
+    return Drawing(panel.key, panel.title, ", ".join(filter(None, (caption, changed))), plot, tuple(legend))
 
 
 def _draw(plot: Any, panel: PlotPanel, line: PlotLine, trace: ReportTrace, source: ColumnDataSource) -> tuple[str, ...]:

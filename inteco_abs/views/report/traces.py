@@ -13,7 +13,7 @@ import numpy.typing as npt
 from inteco_abs.format import TRUTH
 from inteco_abs.sessions import PhaseSpan, Session, aligned_truth, joined_rows
 from inteco_abs.signals import Phase
-from inteco_abs.views.comparison import PALETTE, held_spans, since_s, start_ns
+from inteco_abs.views.comparison import PALETTE, changes_s, held_spans, since_s, start_ns
 from inteco_abs.views.decimation import Decimated, Decimator
 
 _POINTS: Final = 9000
@@ -69,6 +69,8 @@ class ReportTrace:
     """First and last time of the first stop, or of a session without one."""
     whole_s: tuple[float, float]
     braked: bool
+    changes_s: tuple[float, ...]
+    """Times at which gains changed."""
 
 
 def traces_of(sessions: Sequence[Session]) -> list[ReportTrace]:
@@ -114,6 +116,7 @@ def _trace(look: Look, session: Session, most: int) -> ReportTrace:
         ((held[0].first_ns - start) * 1e-9, (held[-1].last_ns - start) * 1e-9) if held else whole_s,
         whole_s,
         len(held) > 0,
+        changes_s(session),
     )
 
 

@@ -1,0 +1,286 @@
+"""Gains and reference slip that change while a run lasts: at one tick each, recorded, and replayed bit for bit."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from inteco_abs.analysis import (
+    alternative,
+    continued,
+    diff_sessions,
+    listed_changes,
+    times_of_changes_ns,
+    what_if,
+)
+from inteco_abs.config import load_config
+from inteco_abs.control import CONTROLLERS, GainChange, build_pipeline, control_check, gains_to_change
+from inteco_abs.errors import ConfigError
+from inteco_abs.plugins import Controllers, Origin
+from inteco_abs.sessions import card_of, changes_among, read_session, recover_session, session_config, write_copy
+from inteco_abs.sessions.content import Parameters
+from inteco_abs.signals import BrakeDemand, Phase, Reason
+
+SMALL = (
+    *("experiment.start_speed_rad_s=15.0", "experiment.idle_s=0.01", "experiment.hold_s=0.0", "loop.rate_hz=400.0"),
+    *("experiment.stops=2", "controller.hold_below_rad_s=1.0"),
+)
+LAWS = ("reaching-law", "boundary-layer", "pi", "relay", "super-twisting")
+
+
+def planned(*changes):
+    return f"experiment.changes={list(changes)!r}".replace("'", '"')
+
+
+def changes_of(session):
+    return changes_among(session.parameters)
+
+
+@pytest.fixture
+def small(run_at, tmp_path):
+    """Runs two short brakings at 400 Hz with planned changes."""
+    number = itertools.count()
+
+    def make(*changes, law="reaching-law", **options):
+        chosen = (*SMALL, f"controller.name={law}", *([planned(*changes)] if changes else []))
+        return run_at(tmp_path / f"{next(number)}.mcap", chosen, **options)
+
+    return make
+
+
+@st.composite
+def plans(draw):
+    """A law, and changes of any of its gains at any times, as texts."""
+    law = draw(st.sampled_from(LAWS))
+    gains = [("reference_slip", 0.001, 0.999), *((gain.name, gain.low, gain.high) for gain in CONTROLLERS[law].gains)]
+    whens = st.one_of(
+        st.integers(0, 900).map("#{}".format),
+        st.integers(0, 60).map("brake+#{}".format),
+        st.integers(0, 60).map("brake2+#{}".format),
+    )
+    found = []
+    for name, low, high in draw(st.lists(st.sampled_from(gains), min_size=1, max_size=6)):
+        value = draw(st.one_of(st.sampled_from([low, high]), st.floats(low, high)))
+        found.append(f"{name}={value!r}@{draw(whens)}")
+    return law, found
+
+
+@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(plans())
+def test_a_run_with_any_changes_replays_bit_for_bit(small, replayed, plan):
+    law, changes = plan
+    session = small(*changes, law=law).session
+    found = changes_of(session)
+    assert {(each.name, each.value) for each in found} <= {
+        (text.partition("=")[0], float(text.partition("=")[2].partition("@")[0])) for text in changes
+    }
+    assert replayed(session).differing == 0
+    if found:  # without the changes it is another run, unless they had no effect on any tick
+        without = replace(session, parameters=())
+        assert replayed(without).agreeing_ticks >= min(each.tick for each in found)
+
+
+def test_each_change_takes_effect_at_its_tick_and_is_recorded_with_it(small, replayed):
+    session = small(
+        "reference_slip=0.3@brake+#20", "reference_slip=0.1@brake2", "Mk=30@brake2+25ms", "Mq=0.5@#0"
+    ).session
+    ticks = session.ticks
+    begins = [int(tick) for tick, before, now in zip(
+        ticks["tick"][1:], ticks["phase"][:-1], ticks["phase"][1:], strict=True
+    ) if now == Phase.BRAKING != before]  # fmt: skip
+    first, second = begins
+    assert changes_of(session) == [
+        GainChange(1, "Mq", 0.5),
+        GainChange(first + 20, "reference_slip", 0.3),
+        GainChange(second + 1, "reference_slip", 0.1),
+        GainChange(second + 10, "Mk", 30.0),
+    ]
+    reference = ticks["slip_reference"][ticks["phase"] == Phase.BRAKING]
+    numbers = ticks["tick"][ticks["phase"] == Phase.BRAKING]
+    assert set(reference[numbers < first + 20]) == {0.2}
+    assert set(reference[(numbers >= first + 20) & (numbers <= second)]) == {0.3}
+    assert set(reference[numbers > second]) == {0.1}
+    assert [entry.text for entry in session.log if "=" in entry.text] == [
+        "Mq = 0.5 from tick 1",
+        f"reference_slip = 0.3 from tick {first + 20}",
+        f"reference_slip = 0.1 from tick {second + 1}",
+        f"Mk = 30 from tick {second + 10}",
+    ]
+    assert session.metadata["result"]["card"].find('"reference_slip": null') > 0
+    assert replayed(session).differing == 0
+
+
+def test_another_record_of_a_change_is_a_difference_from_its_tick_on(small, replayed):
+    session = small("reference_slip=0.3@brake+#20").session
+    (change,) = changes_of(session)
+    rest = tuple(part for part in session.parameters if not part.tick)
+    for tick, value, first in (
+        (change.tick, 0.31, change.tick),
+        (change.tick + 3, 0.3, change.tick),
+        (change.tick - 3, 0.3, change.tick - 3),
+    ):
+        other = replace(session, parameters=(*rest, Parameters(tick, {"reference_slip": value})))
+        assert replayed(other).first.tick == first
+    unknown = replace(session, parameters=(*rest, Parameters(change.tick, {"nothing": 1.0})))
+    assert replayed(unknown).first.tick == change.tick
+
+
+def test_a_run_without_changes_has_the_bits_of_one_whose_changes_change_nothing(small):
+    plain, same = small(), small("Mk=2@brake+#5", "reference_slip=0.2@brake+#5")
+    assert same.session.payload == plain.session.payload
+
+
+def test_a_recovered_session_keeps_its_changes(small, replayed, altered, tmp_path):
+    made = small("reference_slip=0.3@brake+#20")
+    cut = altered(made.path.read_bytes()[:-20_000])
+    recover_session(cut, tmp_path / "again.mcap")
+    session = made._replace(path=tmp_path / "again.mcap").session
+    assert changes_of(session) == changes_of(made.session)
+    assert replayed(session).differing == 0
+
+
+class Own:
+    """Keeps one gain as it is, one in another unit, one by a property; refuses the last."""
+
+    gains = tuple(CONTROLLERS["pi"].gains)
+    internals = ()
+
+    def __init__(self, setup, Kp, Ki, bias):
+        self.reference, self.Kp, self.per_tick, self._bias = setup.reference_slip, Kp, Ki * 0.001, bias
+
+    @property
+    def bias(self):
+        return self._bias
+
+    @bias.setter
+    def bias(self, value):
+        if value > 0.9:
+            raise RuntimeError("too much")
+        self._bias = value
+
+    def update(self, estimate, _dt_s):
+        return BrakeDemand(max(0.0, min(1.0, self._bias + self.Kp * (self.reference - estimate.slip))))
+
+
+OWN = Controllers({"Own": (Own, Origin(b""))})
+
+
+def test_of_a_class_of_ones_own_the_gains_that_it_keeps_can_change():
+    config = load_config(settings=["controller.name=Own"], checks=[control_check(OWN)])
+    assert [gain.name for gain in gains_to_change(build_pipeline(config, OWN), config, OWN)] == [
+        "reference_slip",
+        "Kp",
+        "bias",
+    ]
+
+
+def test_a_class_that_raises_at_a_change_ends_the_run_safely_and_replays(small, replayed):
+    made = small("Kp=0.5@brake+#3", "bias=0.95@brake+#9", law="Own", controllers=OWN)
+    assert made.stop.reason is Reason.CONTROLLER_ERROR
+    assert "too much" in made.stop.explanation
+    ticks = made.session.ticks
+    fault = changes_of(made.session)[-1].tick
+    assert ticks["phase"][ticks["tick"] == fault][0] == Phase.FAULT
+    assert not np.any(ticks["brake"][ticks["tick"] >= fault])
+    assert replayed(made.session, OWN).differing == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ("Mk=5", "must be NAME=VALUE@WHEN"),
+        ("Mk=5@7", "in ticks (#)"),
+        ("Mk=5@brake0", "or since a braking began"),
+        ("Mk=5@brake+", "or since a braking began"),
+        ("Mk=2,5@1s", "write 2.5"),
+        ("Mk=1001@1s", "must be in 0..1000 1/s"),
+        ("Mk=nan@1s", "must be in 0..1000 1/s"),
+        ("reference_slip=1@1s", "must be in 0.001..0.999"),
+        ("Mkk=5@1s", "did you mean Mk?"),
+        ("guard.brake_limit=1@1s", "the guard's limits cannot change while a run lasts"),
+    ],
+)
+def test_a_change_that_is_not_possible_is_refused_with_what_is(change, problem):
+    with pytest.raises(ConfigError, match=r"experiment\.changes") as error:
+        load_config(settings=[planned(change)], checks=[control_check()])
+    assert problem in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "law"),
+    [
+        ("reference_slip=0.3@1s", ('controller.reference_formula="0.2"',)),
+        ("dead_time_s=0.01@1s", ("controller.name=smith-relay",)),
+        ("Ki=1@1s", ("controller.name=Own",)),
+    ],
+)
+def test_what_a_controller_cannot_change_is_refused_before_the_run(run_at, tmp_path, change, law):
+    with pytest.raises(ConfigError, match="not a gain that can change while a run lasts"):
+        run_at(tmp_path / "no.mcap", (*SMALL, *law, planned(change)), controllers=OWN)
+    assert not (tmp_path / "no.mcap").exists()
+
+
+def test_a_changed_gain_goes_to_the_law_behind_a_reference_that_moves(run_at, tmp_path, replayed):
+    moves = (*SMALL, 'controller.reference_formula="0.2 + 0.05*sin(20*t)"', "controller.name=pi")
+    made = run_at(tmp_path / "moves.mcap", (*moves, planned("bias=0.9@brake+#10")))
+    ticks, (change,) = made.session.ticks, changes_of(made.session)
+    plain = run_at(tmp_path / "plain.mcap", moves).session.ticks
+    differs = ticks["brake_request"][: len(plain)] != plain["brake_request"][: len(ticks)]
+    assert ticks["tick"][np.argmax(differs)] == change.tick
+    assert replayed(made.session).differing == 0
+
+
+def test_a_what_if_repeats_the_changes_of_what_it_keeps(small):
+    session = small("reference_slip=0.3@brake+#10", "Mk=30@brake2+#5").session
+
+    def horizon_s(*settings):
+        return what_if(session, alternative(session, settings, CONTROLLERS), CONTROLLERS).horizon_s
+
+    assert horizon_s() is None
+    assert horizon_s("controller.gains.lag_s=0.0") is None
+    second = braking_times_s(session)[1]
+    assert horizon_s("controller.gains.Mk=300.0") < second
+    closed = continued(session, session_config(session, ()), alternative(session, (), CONTROLLERS), CONTROLLERS)
+    assert closed.ticks["slip_reference"].tobytes() == session.ticks["slip_reference"].tobytes()
+
+
+def braking_times_s(session):
+    ticks = session.ticks
+    begins = np.flatnonzero((ticks["phase"][1:] == Phase.BRAKING) & (ticks["phase"][:-1] != Phase.BRAKING)) + 1
+    return (ticks["time_ns"][begins] - ticks["time_ns"][begins[0]]) * 1e-9
+
+
+def test_lists_of_facts_name_each_change(small):
+    made, plain = small("Mk=30@brake+#5"), small()
+    key = f"Mk from tick {changes_of(made.session)[0].tick}"
+    assert listed_changes(made.session) == {key: "30.0"}
+    gains = diff_sessions(made.session, plain.session, ("gains",)).changes["gains"]
+    assert [(each.key, each.a, each.b) for each in gains] == [(key, "30.0", None)]
+    times_ns = times_of_changes_ns(made.session)
+    assert made.session.ticks["tick"][made.session.ticks["time_ns"] == times_ns[0]] == changes_of(made.session)[0].tick
+
+
+def test_stops_of_many_rigs_refuse_changes(verb):
+    done = verb("sweep", "--rigs", "hard:0-1", "--set", planned("Mk=3@brake"))
+    assert done.code == 2
+    assert "stops of many rigs keep their gains" in done.err
+
+
+def test_a_copy_of_a_session_keeps_its_changes(small, replayed, tmp_path):
+    session = small("reference_slip=0.3@brake+#10").session
+    write_copy(
+        session,
+        tmp_path / "copy.mcap",
+        session.blocks(),
+        metadata=session.metadata,
+        attachments=session.attachments,
+        card=card_of(session),
+        log=session.log,
+    )
+    copy = read_session(tmp_path / "copy.mcap")
+    assert changes_of(copy) == changes_of(session)
+    assert [entry.text for entry in copy.log] == [entry.text for entry in session.log]
+    assert replayed(copy).differing == 0
