@@ -7,7 +7,7 @@ from inteco_abs.analysis.dataset import write_dataset
 from inteco_abs.analysis.diff import SECTIONS, Change, Diff, SignalChange, diff_sessions, settings_of
 from inteco_abs.analysis.gains import changed_gains, gain_changes, listed_changes, recorded_gains, times_of_changes_ns
 from inteco_abs.analysis.golden import Golden, GoldenFolder, GoldenResult
-from inteco_abs.analysis.open_loop import WhatIf, alternative, braking_row, since_braking_s, what_if
+from inteco_abs.analysis.open_loop import WhatIf, alternative, braking_start, since_braking_s, what_if
 from inteco_abs.analysis.publication import Publication, publish
 from inteco_abs.analysis.replay import (
     FirstDifference,
@@ -41,7 +41,7 @@ __all__ = [
     "WhatIf",
     "alternative",
     "before_the_gap",
-    "braking_row",
+    "braking_start",
     "changed_gains",
     "continued",
     "decisions",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, NamedTuple
 
@@ -95,19 +96,27 @@ def function_of_pipeline(pipeline: Pipeline) -> Function:
     return partial(_bound(decide_row, pipeline.estimator, controller), reference=reference_function(controller))
 
 
-def demand_rows(
-    estimator: Estimator, controller: Controller, logged: Array, dtype: np.dtype[Any], may_compile: bool
-) -> Array | None:
-    """Rows of type `dtype` with slip, torque and duty that new parts demand for each row; None as by `decide`.
+class CompiledDemands:
+    """Demands of a new estimator and controller on logged ticks, in machine code, block by block."""
 
-    None for a user's function, too, as `x**2` is not x*x in Python.
-    """
-    parts = _control_records(estimator, controller, controller)
-    loop = _bound(ask_rows, estimator, controller)
-    if parts is None or not is_own(loop) or not _ordinary(logged):
-        return None
-    rows = np.zeros(len(logged), dtype)
-    return rows if run_compiled(loop, (parts, logged, rows), may_compile) else None
+    def __init__(self, estimator: Estimator, controller: Controller, dtype: np.dtype[Any], may_compile: bool) -> None:
+        self._parts = _control_records(estimator, controller, controller)
+        self._loop = _bound(ask_rows, estimator, controller)
+        self._dtype = dtype
+        self._may_compile = may_compile
+        self._newest_ns = 0
+        self._state = record(AskState())
+
+    def rows(self, logged: Array) -> Array | None:
+        """Rows with slip, torque and duty for each of the next ones; None as by `CompiledReplay.decide`.
+
+        None for a user's function, too, as `x**2` is not x*x in Python.
+        """
+        if self._parts is None or not is_own(self._loop) or not _ordinary(logged, self._newest_ns):
+            return None
+        self._newest_ns = int(logged["time_ns"][-1])
+        rows = np.zeros(len(logged), self._dtype)
+        return rows if run_compiled(self._loop, (self._parts, self._state, logged, rows), self._may_compile) else None
 
 
 def _control_records(estimator: Any, controller: Any, as_made: Any) -> ControlRecords | None:
@@ -200,32 +209,45 @@ def _note(s: DecisionState, demand: BrakeDemand) -> None:
     s.demanded, s.torque_nm, s.switching, (s.c0, s.c1, s.c2, s.c3) = demand
 
 
-def ask_rows(parts: ControlRecords, logged: Any, rows: Any, estimate: Function, control: Function) -> bool:
+@dataclass(slots=True)
+class AskState:
+    """What a tick leaves to the next one: its demand, the held one, and the log's command and phase."""
+
+    slip: float = 0.0
+    torque_nm: float = 0.0
+    brake: float = 0.0
+    held_torque_nm: float = 0.0
+    held_brake: float = 0.0
+    drive: float = 0.0
+    duty: float = 0.0
+    phase: int = 0
+
+
+def ask_rows(parts: ControlRecords, s: Any, logged: Any, rows: Any, estimate: Function, control: Function) -> bool:
     """Slip, torque and duty for the counts of each row of `logged`, in its phases; False as by `decide_rows`.
 
     A new stop begins with a new controller. Without a valid sample the demand stays.
     """
     estimator_k, estimator, controller_k, controllers = parts
-    slip, torque_nm, brake, held_nm, held, drive, duty, before = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0
     for i in range(rows.size):
         seen, row = logged[i], rows[i]
         if seen.board_flags == 0:
             sample = Sample(
                 _signed(seen.tick), _signed(seen.time_ns), seen.dt_s, seen.wheel_count, seen.road_count, _VALID
             )
-            estimated = estimate(estimator_k, estimator, sample, Command(drive, duty))
-            slip, torque_nm, brake = estimated.slip, 0.0, 0.0
-            if before == _BRAKING:
+            estimated = estimate(estimator_k, estimator, sample, Command(s.drive, s.duty))
+            s.slip, s.torque_nm, s.brake = estimated.slip, 0.0, 0.0
+            if s.phase == _BRAKING:
                 demand = control(controller_k, controllers[0], estimated, seen.dt_s)
                 if not finite_demand(demand):
                     return False
-                held_nm, held = demand.torque_nm, demand.brake
-            elif before == _STOPPED and seen.phase != _STOPPED:
+                s.held_torque_nm, s.held_brake = demand.torque_nm, demand.brake
+            elif s.phase == _STOPPED and seen.phase != _STOPPED:
                 controllers[0] = controllers[1]
             if not finite_estimate(estimated):
                 return False
-            if before == _BRAKING or (before == _STOPPED and seen.phase == _STOPPED):
-                torque_nm, brake = held_nm, held
-        row.slip, row.torque_demand_nm, row.brake_request = slip, torque_nm, brake
-        drive, duty, before = seen.drive, seen.brake, _signed(seen.phase)
+            if s.phase == _BRAKING or (s.phase == _STOPPED and seen.phase == _STOPPED):
+                s.torque_nm, s.brake = s.held_torque_nm, s.held_brake
+        row.slip, row.torque_demand_nm, row.brake_request = s.slip, s.torque_nm, s.brake
+        s.drive, s.duty, s.phase = seen.drive, seen.brake, _signed(seen.phase)
     return True

@@ -20,7 +20,7 @@ from typing import Any, Final, Self
 import numpy as np
 import tomli_w
 
-from inteco_abs.analysis.open_loop import since_braking_s
+from inteco_abs.analysis.open_loop import braking_start
 from inteco_abs.analysis.replay import Replay, decisions, recorded_arithmetic, replay_session, require_known
 from inteco_abs.analysis.tolerance import Array, parse_tolerances
 from inteco_abs.control import Controller, build_pipeline, control_check
@@ -136,9 +136,9 @@ class GoldenFolder:
         _require_reason(reason)
         parse_tolerances(tolerances)
         require_known(session)
-        rows = _rows_until(session, until_s)
-        _require_a_test(session, session.ticks[:rows])
-        payload = bytes(session.payload[: rows * TICK.size])
+        payload = _payload_until(session, until_s)
+        rows = len(payload) // TICK.size
+        _require_a_test(session, TICK.array(payload))
         part = self._part(name)
         with ensured_directory(self.path, "--folder"):
             try:
@@ -257,10 +257,17 @@ def _require_reason(reason: str) -> None:
         raise ConfigError.of("--reason", "is empty; say why, for the history")
 
 
-def _rows_until(session: Session, until_s: float | None) -> int:
+def _payload_until(session: Session, until_s: float | None) -> bytes:
     if until_s is None:
-        return len(session.ticks)
-    return int(np.searchsorted(since_braking_s(session), until_s + 1e-9))
+        return bytes(session.payload)
+    end_ns = np.uint64(braking_start(session)[1] + round((until_s + 1e-9) * 1e9))
+    parts = list[bytes]()
+    for ticks, _ in session.blocks():
+        kept = int(ticks["time_ns"].searchsorted(end_ns))
+        parts.append(ticks[:kept].tobytes())
+        if kept < len(ticks):
+            break
+    return b"".join(parts)
 
 
 def _require_a_test(session: Session, ticks: Array) -> None:

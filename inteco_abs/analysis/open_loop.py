@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
 import tomli_w
@@ -72,9 +72,9 @@ class Divergence:
 class WhatIf:
     """One alternative on the logged counts."""
 
-    requests: Array
-    """A row for each tick, with the columns COMPARED; before the switch they are the log's."""
     divergences: tuple[Divergence, ...]
+    requests: Array | None
+    """A row for each tick, with the columns COMPARED, if they were kept; before the switch they are the log's."""
 
     @property
     def horizon_s(self) -> float | None:
@@ -113,18 +113,20 @@ def alternative(session: Session, settings: Sequence[str], controllers: Mapping[
     return parse_config(tomli_w.dumps(table), (control_check(controllers),))
 
 
-def braking_row(session: Session) -> int:
-    """Row of the first tick of braking. Raises SessionError without one."""
-    rows = np.flatnonzero(session.ticks["phase"] == Phase.BRAKING)
-    if not len(rows):
-        raise SessionError(f"{session.path}: the run ended before braking; there is nothing to compare")
-    return int(rows[0])
+def braking_start(session: Session) -> tuple[int, int]:
+    """Row of the first tick of braking, and its time in ns. Raises SessionError without one."""
+    before = 0
+    for ticks, _ in session.blocks():
+        rows = np.flatnonzero(ticks["phase"] == Phase.BRAKING)
+        if len(rows):
+            return before + int(rows[0]), int(ticks["time_ns"][rows[0]])
+        before += len(ticks)
+    raise SessionError(f"{session.path}: the run ended before braking; there is nothing to compare")
 
 
 def since_braking_s(session: Session) -> Array:
     """Time of each tick since braking began, s."""
-    times_ns = session.ticks["time_ns"].astype(np.int64)
-    seconds: Array = (times_ns - times_ns[braking_row(session)]) * 1e-9
+    seconds: Array = (session.ticks["time_ns"].astype(np.int64) - braking_start(session)[1]) * 1e-9
     return seconds
 
 
@@ -136,60 +138,79 @@ def what_if(
     duty: float = DUTY_THRESHOLD,
     torque_nm: float = TORQUE_THRESHOLD_NM,
     compiled: bool | None = None,
+    *,
+    keep: bool = True,
 ) -> WhatIf:
     """Demands of the estimator and controller of `config` for the logged counts, and where they leave the log.
 
     They are updated from the first tick, with the session's changes of gains that hold for them, and compared from
     `at_s` after braking began, or always. `duty` and `torque_nm` are the largest differences that still agree with the
-    log; `compiled` as for `replay_session`. Raises SessionError without braking, if the run was over by `at_s`, or if
-    the estimator or controller raises.
+    log; `compiled` as for `replay_session`. Unless they are to `keep`, the requests are compared block by block and
+    forgotten. Raises SessionError without braking, if the run was over by `at_s`, or if the estimator or controller
+    raises.
     """
     require_known(session)
-    since_s = since_braking_s(session)
-    ahead = since_s < (-math.inf if at_s is None else at_s - 1e-9)
-    if ahead.all():
+    _, zero_ns = braking_start(session)
+    over_s = (int(session.rows.edges()[1]["time_ns"][0]) - zero_ns) * 1e-9
+    switch_s = -math.inf if at_s is None else at_s - 1e-9
+    if over_s < switch_s:
         raise SessionError(
-            f"{session.path}: {at_s:g} s after braking began the run was over; choose at most {since_s[-1]:.3f} s"
+            f"{session.path}: {at_s:g} s after braking began the run was over; choose at most {over_s:.3f} s"
         )
-    with recorded_arithmetic(session):
-        requests = _compiled_requests(session, config, controllers, compiled)
-        if requests is None:
-            requests = np.array(list(_requests(session, config, controllers)), _DTYPE)
-    logged = session.ticks[list(COMPARED)].astype(_DTYPE)
-    requests[ahead] = logged[ahead]
+
+    def compared(asked: Iterable[tuple[Array, Array | None]]) -> WhatIf | None:
+        comparisons = [_Comparison(name, thresholds.get(name)) for name in COMPARED]
+        kept = list[Array]()
+        for ticks, requests in asked:
+            if requests is None:
+                return None
+            since_s = (ticks["time_ns"].astype(np.int64) - zero_ns) * 1e-9
+            ahead = since_s < switch_s
+            requests[ahead] = ticks[list(COMPARED)].astype(_DTYPE)[ahead]
+            for each in comparisons:
+                each.add(ticks, since_s, requests)
+            if keep:
+                kept.append(requests)
+        return WhatIf(tuple(each.divergence for each in comparisons), np.concatenate(kept) if keep else None)
+
     thresholds = {"torque_demand_nm": torque_nm, "brake_request": duty}
-    found = [_divergence(session, since_s, requests, logged, name, thresholds.get(name)) for name in COMPARED]
-    return WhatIf(requests, tuple(found))
+    with recorded_arithmetic(session):
+        found = compared(_compiled_requests(session, config, controllers, compiled))
+        return found or cast(WhatIf, compared(_requests(session, config, controllers)))
 
 
 def _compiled_requests(
     session: Session, config: RigConfig, controllers: Mapping[str, type[Controller]], compiled: bool | None
-) -> Array | None:
-    """As `_requests`, by a compiled loop, or None."""
+) -> Iterator[tuple[Array, Array | None]]:
+    """As `_requests`, by a compiled loop; None where that cannot go on."""
     estimator, controller = make_estimator(config), make_controller(config, controllers)
-    if changes_for(session, config, controller, controllers):
-        return None
-    loops = compiled_loops(session, estimator, controller, compiled)
-    found: Array | None = loops and loops.module.demand_rows(
-        estimator, controller, session.ticks, _DTYPE, loops.may_compile
-    )
-    return found
+    changed = changes_for(session, config, controller, controllers)
+    loops = None if changed else compiled_loops(session, estimator, controller, compiled)
+    demands = loops and loops.module.CompiledDemands(estimator, controller, _DTYPE, loops.may_compile)
+    for ticks, _ in session.blocks():
+        yield ticks, demands and demands.rows(ticks)
 
 
-def _requests(session: Session, config: RigConfig, controllers: Mapping[str, type[Controller]]) -> Iterator[Demand]:
+def _requests(
+    session: Session, config: RigConfig, controllers: Mapping[str, type[Controller]]
+) -> Iterator[tuple[Array, Array]]:
+    """Blocks of the session, each with the demands for it."""
     alternative = _Alternative(session, config, controllers)
     answer, command, before = Demand(0.0, 0.0, 0.0), Command.SAFE, Phase.UNKNOWN
-    for tick, time_ns, dt_s, wheel, road, flags, drive, brake, phase in session.ticks[_LOGGED].tolist():
-        if not flags:  # without a valid sample the run kept its previous demand
-            sample = Sample(tick, time_ns, dt_s, wheel, road)
-            try:
-                answer = alternative.step(sample, command, Phase(before), Phase(phase))
-            except (Exception, SystemExit) as error:  # a user's controller may raise anything
-                raise SessionError(
-                    f"{session.path}: asked at tick {tick}, it raised {describe_error(error)}"
-                ) from error
-        yield answer
-        command, before = Command(drive, brake), phase
+    for ticks, _ in session.blocks():
+        answers = list[Demand]()
+        for tick, time_ns, dt_s, wheel, road, flags, drive, brake, phase in ticks[_LOGGED].tolist():
+            if not flags:  # without a valid sample the run kept its previous demand
+                sample = Sample(tick, time_ns, dt_s, wheel, road)
+                try:
+                    answer = alternative.step(sample, command, Phase(before), Phase(phase))
+                except (Exception, SystemExit) as error:  # a user's controller may raise anything
+                    raise SessionError(
+                        f"{session.path}: asked at tick {tick}, it raised {describe_error(error)}"
+                    ) from error
+            answers.append(answer)
+            command, before = Command(drive, brake), phase
+        yield ticks, np.array(answers, _DTYPE)
 
 
 class _Alternative:
@@ -224,20 +245,36 @@ class _Alternative:
         set_gain(self._controller, name, value)
 
 
-def _divergence(
-    session: Session, since_s: Array, requests: Array, logged: Array, name: str, threshold: float | None
-) -> Divergence:
-    both_missing = np.isnan(requests[name]) & np.isnan(logged[name])
-    apart = np.where(both_missing, 0.0, np.abs(requests[name] - logged[name]))
-    phases = session.ticks["phase"]
-    judged = np.isin(phases, _PHASES)
-    beyond = np.flatnonzero(judged & ~(apart <= (math.inf if threshold is None else threshold)))
-    where = {phase.name: apart[phases == phase] for phase in _PHASES if (phases == phase).any()}
-    return Divergence(
-        name,
-        threshold,
-        int(session.ticks["tick"][beyond[0]]) if len(beyond) and threshold is not None else None,
-        float(since_s[beyond[0]]) if len(beyond) and threshold is not None else None,
-        finite(np.max(apart[judged])),
-        {phase: finite(np.sqrt(np.mean(values * values))) for phase, values in where.items()},
-    )
+class _Comparison:
+    """One field of requests and log, block by block."""
+
+    def __init__(self, name: str, threshold: float | None) -> None:
+        self._name, self._threshold = name, threshold
+        self._first: tuple[int, float] | None = None
+        self._largest = 0.0
+        self._squares = dict.fromkeys(_PHASES, (0, 0.0))
+        """Number of ticks, and sum of squared differences."""
+
+    def add(self, ticks: Array, since_s: Array, requests: Array) -> None:
+        requested, logged, phases = requests[self._name], ticks[self._name], ticks["phase"]
+        apart = np.where(np.isnan(requested) & np.isnan(logged), 0.0, np.abs(requested - logged))
+        judged = np.isin(phases, _PHASES)
+        self._largest = float(np.max(apart[judged], initial=self._largest))
+        beyond = np.flatnonzero(judged & ~(apart <= (math.inf if self._threshold is None else self._threshold)))
+        if self._first is None and self._threshold is not None and len(beyond):
+            self._first = int(ticks["tick"][beyond[0]]), float(since_s[beyond[0]])
+        for phase, (number, squares) in self._squares.items():
+            values = apart[phases == phase]
+            self._squares[phase] = number + len(values), squares + float(np.sum(values * values))
+
+    @property
+    def divergence(self) -> Divergence:
+        tick, time_s = self._first or (None, None)
+        return Divergence(
+            self._name,
+            self._threshold,
+            tick,
+            time_s,
+            finite(self._largest),
+            {phase.name: finite(math.sqrt(total / n)) for phase, (n, total) in self._squares.items() if n},
+        )

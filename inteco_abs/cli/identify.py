@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -127,14 +127,15 @@ def _identified(rig: RigConfig, files: tuple[Path, ...], assumed: dict[str, floa
     from inteco_abs.rig import nominal_parameters
     from inteco_abs.sessions import read_session, session_config
 
-    found: list[Segment] = []
-    for file in files:
-        session = read_whole(file, read_session)
-        found += segments(session, session_config(session, ()).encoders.counts_per_turn)
-    if not found:
+    def found() -> Iterator[Segment]:
+        for file in files:
+            session = read_whole(file, read_session)
+            yield from segments(session, session_config(session, ()).encoders.counts_per_turn)
+
+    parts = chosen(found())
+    if not parts:
         problem = "no session has a run-up or a braking phase of the open-loop controller; --plan records some"
         raise ConfigError.of("SESSION", problem)
-    parts = chosen(found)
     say(f"fitting {len(parts)} phases of {len(files)} sessions", err=True)
     with fit_progress() as progress:
         return identify(parts, nominal_parameters(rig.model), assumed, progress)

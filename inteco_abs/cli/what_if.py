@@ -116,8 +116,9 @@ def what_if(
             raise ConfigError.of("--figure", problem)
     session = read_whole(file, read_session)
     controllers = controllers_for(session, RECORDED) if recorded else known_controllers(options.controller)
+    ways = at_s, (duty, torque), closed_loop
     alternatives = [
-        WhatIfTrace(name, *_ask(session, given, controllers, at_s, (duty, torque), closed_loop)) for name, given in grid
+        WhatIfTrace(name, *_ask(session, given, controllers, *ways, keep=figure is not None)) for name, given in grid
     ]
     own = _own_error(session, controllers, at_s) if closed_loop else None
     if figure is not None:
@@ -161,13 +162,16 @@ def _ask(
     at_s: float | None,
     thresholds: tuple[float, float],
     closed_loop: bool,
+    *,
+    keep: bool,
 ) -> tuple[WhatIf, Continuation | None]:
     from inteco_abs.analysis import alternative
     from inteco_abs.analysis import what_if as ask
 
     other = alternative(session, settings, controllers)
     closed = _continued(session, other, controllers, at_s) if closed_loop else None
-    return ask(session, other, controllers, 0.0 if closed_loop and at_s is None else at_s, *thresholds), closed
+    at_s = 0.0 if closed_loop and at_s is None else at_s
+    return ask(session, other, controllers, at_s, *thresholds, keep=keep), closed
 
 
 def _continued(session: Session, other: RigConfig, controllers: Controllers, at_s: float | None) -> Continuation:

@@ -10,7 +10,7 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from inteco_abs.sessions import Session
+from inteco_abs.sessions import TICK, Session
 from inteco_abs.signals import Phase
 
 Floats = npt.NDArray[np.float64]
@@ -25,6 +25,8 @@ _RELEASED_S: Final = 0.5
 """Time after a release in which the brake's lag is over; then the wheels coast."""
 _FEWEST_SAMPLES: Final = 50
 _MOST_RUN_UPS: Final = 2
+_USED: Final = ["time_ns", "wheel_count", "road_count", "drive", "brake", "phase", "board_flags"]
+_ROW: Final = np.dtype([(name, TICK.dtype[name]) for name in _USED])
 
 
 @dataclass(frozen=True)
@@ -100,23 +102,36 @@ def segment(
 
 def segments(session: Session, counts_per_turn: int) -> Iterator[Segment]:
     """All usable segments of `session`. A tick's duties take effect at the next one."""
-    ticks = session.ticks
-    if not len(ticks):
-        return
-    phase, good = ticks["phase"], ticks["board_flags"] == 0  # with a flag, the counts may be older than the tick
-    in_force = {name: np.concatenate([[0.0], ticks[name][:-1]]) for name in ("drive", "brake")}
-    edges = np.flatnonzero(np.diff(phase.astype(np.int16))) + 1
-    for first, end in zip([0, *edges], [*edges, len(ticks)], strict=True):
-        part = np.arange(first, end)[good[first:end]]
-        if phase[first] not in {Phase.SPIN_UP, Phase.BRAKING} or len(part) < _FEWEST_SAMPLES:
+    for phase, found in _by_phase(session):
+        good = found["board_flags"] == 0  # with a flag, the counts may be older than the tick
+        if phase not in {Phase.SPIN_UP, Phase.BRAKING} or good.sum() < _FEWEST_SAMPLES:
             continue
-        drive, brake = in_force["drive"][part], in_force["brake"][part]
-        kind: SegmentKind = "run-up" if phase[first] == Phase.SPIN_UP else "braking" if brake.any() else "coast-down"
-        time_s = ticks["time_ns"][part].astype(np.int64) * 1e-9
-        counts = ticks["wheel_count"][part].astype(float), ticks["road_count"][part].astype(float)
-        found = segment(session.path.name, kind, counts_per_turn, time_s, counts, (drive, brake))
-        if found is not None:
-            yield found
+        rows = found[good]
+        kind: SegmentKind = "run-up" if phase == Phase.SPIN_UP else "braking" if rows["brake"].any() else "coast-down"
+        time_s = rows["time_ns"].astype(np.int64) * 1e-9
+        counts = rows["wheel_count"].astype(float), rows["road_count"].astype(float)
+        usable = segment(session.path.name, kind, counts_per_turn, time_s, counts, (rows["drive"], rows["brake"]))
+        if usable is not None:
+            yield usable
+
+
+def _by_phase(session: Session) -> Iterator[tuple[int, npt.NDArray[np.void]]]:
+    """Phases one after the other with their ticks, in which `drive` and `brake` are the duties in force."""
+    phase, parts, before = -1, list[npt.NDArray[np.void]](), (0.0, 0.0)
+    for ticks, _ in session.blocks():
+        rows = ticks[_USED].astype(_ROW)
+        for at, name in enumerate(("drive", "brake")):
+            rows[name][1:], rows[name][0] = ticks[name][:-1], before[at]
+        before = float(ticks["drive"][-1]), float(ticks["brake"][-1])
+        edges = np.flatnonzero(np.diff(ticks["phase"].astype(np.int16))) + 1
+        for part in np.split(rows, edges):
+            if parts and part["phase"][0] != phase:
+                yield phase, np.concatenate(parts)
+                parts = []
+            phase = int(part["phase"][0])
+            parts.append(part)
+    if parts:
+        yield phase, np.concatenate(parts)
 
 
 def chosen(found: Iterable[Segment]) -> list[Segment]:

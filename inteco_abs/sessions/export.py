@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import importlib.util
 import json
+import tempfile
 import zipfile
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from numpy.lib import format as npy
 from numpy.lib.recfunctions import repack_fields
 
@@ -51,7 +53,7 @@ class _Format(NamedTuple):
 
 
 def export_session(source: Path, form: str, out: Path) -> Export:
-    """Write the session at `source` to `out` in one of `FORMATS`; an hour needs little memory, but as MATLAB file.
+    """Write the session at `source` to `out` in one of `FORMATS`; an hour needs little memory.
 
     In a format with one table per file, `out` has the ticks; the other tables go to files beside it, such as
     `stop.truth.csv`, and metadata that the format cannot hold to `stop.csv-metadata.json`. Raises ConfigError,
@@ -143,19 +145,37 @@ def _npz(path: Path, group: list[Table], session: Session) -> None:
 def _mat(path: Path, group: list[Table], session: Session) -> None:
     from scipy.io import savemat  # noqa: PLC0415  heavy, and an extra
 
-    content: dict[str, Any] = {table.name: _struct(table) for table in group}
-    content["units"] = {table.name: table.units for table in group}
-    content["meanings"] = {table.name: table.meanings for table in group}
-    content["metadata"] = _texts(group, session)["metadata"]
-    with path.open("xb") as file:
-        savemat(file, content, long_field_names=True, oned_as="column")
+    with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+        content: dict[str, Any] = {table.name: _struct(table, Path(folder)) for table in group}
+        content["units"] = {table.name: table.units for table in group}
+        content["meanings"] = {table.name: table.meanings for table in group}
+        content["metadata"] = _texts(group, session)["metadata"]
+        with path.open("xb") as file:
+            savemat(file, content, long_field_names=True, oned_as="column")
 
 
-def _struct(table: Table) -> dict[str, Any]:
-    """Columns by name; texts as a cell array."""
-    rows = table.rows
-    columns = {name: rows[name] for name in table.units}
-    return {name: values.astype(object) if values.dtype.kind == "U" else values for name, values in columns.items()}
+class _ColumnOnDisk:
+    """Numbers of a column, which scipy asks for when it writes them: only one column is in memory."""
+
+    def __init__(self, path: Path, dtype: np.dtype[Any]) -> None:
+        self._path, self._dtype = path, dtype
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> npt.NDArray[Any]:
+        return np.fromfile(self._path, self._dtype)
+
+
+def _struct(table: Table, folder: Path) -> dict[str, Any]:
+    """Columns by name, as files in `folder`; texts as a cell array."""
+    texts = {name for name in table.units if table.dtype[name].kind == "U"}
+    if texts:
+        return {name: table.rows[name].astype(object) if name in texts else table.rows[name] for name in table.units}
+    paths = {name: folder / f"{table.name}.{at}" for at, name in enumerate(table.units)}
+    with ExitStack() as files:
+        opened = {name: files.enter_context(path.open("xb")) for name, path in paths.items()}
+        for rows in table.blocks():
+            for name, file in opened.items():
+                np.ascontiguousarray(rows[name]).tofile(file)
+    return {name: _ColumnOnDisk(path, table.dtype[name]) for name, path in paths.items()}
 
 
 def write_parquet(path: Path, group: list[Table], session: Session) -> None:

@@ -13,7 +13,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from inteco_abs.analysis import Continuation, WhatIf, braking_row, since_braking_s
+from inteco_abs.analysis import Continuation, WhatIf, braking_start, since_braking_s
 from inteco_abs.quantities import shown
 from inteco_abs.sessions import Session
 from inteco_abs.signals import Phase
@@ -119,7 +119,10 @@ def draw_what_if(session: Session, alternatives: Sequence[WhatIfTrace], path: Pa
 
 
 def _open_loop(panel: Axes, alternative: WhatIfTrace, field: str, since_s: Any, colour: str) -> None:
-    horizon_s, values = alternative.open_loop.horizon_s, alternative.open_loop.requests[field]
+    requests = alternative.open_loop.requests
+    if requests is None:
+        raise ValueError(f"the requests of {alternative.name} were not kept: what_if(..., keep=True)")
+    horizon_s, values = alternative.open_loop.horizon_s, requests[field]
     left = since_s >= (np.inf if horizon_s is None else horizon_s)
     panel.plot(since_s[~left], values[~left], color=colour, lw=0.9)
     name = f"{alternative.name}, on the logged counts"
@@ -127,7 +130,7 @@ def _open_loop(panel: Axes, alternative: WhatIfTrace, field: str, since_s: Any, 
 
 
 def _closed_loop(panel: Axes, session: Session, closed: Continuation, field: str, colour: str) -> None:
-    start_ns = int(session.ticks["time_ns"][braking_row(session)])
+    _, start_ns = braking_start(session)
     ticks = closed.ticks[closed.row :]
     time_s = (ticks["time_ns"].astype(np.int64) - start_ns) * 1e-9
     panel.plot(time_s, ticks[field], color=colour, lw=1.1, ls="--", label="the same, simulated")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from inteco_abs.analysis.closed_loop import continued, distance
-from inteco_abs.analysis.open_loop import alternative, braking_row
+from inteco_abs.analysis.open_loop import alternative, braking_start
 from inteco_abs.control import CONTROLLERS
 from inteco_abs.errors import SessionError
 from inteco_abs.sessions import session_config
@@ -44,7 +44,7 @@ def test_with_its_own_controller_a_virtual_run_continues_to_the_last_bit(run, se
 def test_another_controller_decides_from_then_on_and_the_rig_reacts(quick):
     session = quick.session
     found = gone_on(session, "controller.name=relay", at_s=0.05)
-    row = braking_row(session) + 100
+    row = braking_start(session)[0] + 100
     assert found.row == row
     assert np.array_equal(found.ticks["brake"][:row], session.ticks["brake"][:row])
     assert found.ticks["brake"][row] == 1.0

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from inteco_abs.analysis.open_loop import COMPARED, alternative, braking_row, what_if
+from inteco_abs.analysis.open_loop import COMPARED, alternative, braking_start, what_if
 from inteco_abs.config import load_config
 from inteco_abs.control import CONTROLLERS
 from inteco_abs.errors import ConfigError, SessionError
@@ -43,7 +43,7 @@ def test_what_the_run_itself_had_is_the_log_to_the_last_bit(run, settings):
 def test_other_gains_leave_the_log_where_the_controller_is_first_asked(quick):
     session = quick.session
     found = asked(session, "controller.gains.Mk=20.0")
-    first = braking_row(session) + 1
+    first = braking_start(session)[0] + 1
     assert (of(found, "torque_demand_nm").tick, found.horizon_s) == (first, pytest.approx(0.0005))
     assert of(found, "slip").largest == 0.0
     assert np.array_equal(found.requests["brake_request"][:first], session.ticks["brake_request"][:first])
@@ -54,7 +54,7 @@ def test_the_difference_is_what_the_law_makes_of_it(quick):
     """s' = -Mk*s: with 1/s more of Mk, the torque is s/g more."""
     session = quick.session
     found = asked(session, "controller.gains.Mk=3.0")
-    row = braking_row(session) + 1
+    row = braking_start(session)[0] + 1
     logged = session.ticks[row]
     expected = logged["torque_demand_nm"] - logged["switching"] / logged["c1"]
     assert found.requests["torque_demand_nm"][row] == pytest.approx(expected, rel=1e-12)
@@ -79,7 +79,7 @@ def test_a_section_is_not_a_key(quick, section):
 def test_before_the_switch_it_is_the_log(quick, at_s):
     session = quick.session
     found = asked(session, "controller.name=relay", at_s=at_s)
-    start = braking_row(session) + round(at_s * 2000)
+    start = braking_start(session)[0] + round(at_s * 2000)
     for name in COMPARED:
         assert np.array_equal(found.requests[name][:start], session.ticks[name][:start])
     always = asked(session, "controller.name=relay")
@@ -111,7 +111,7 @@ def test_the_root_of_the_mean_square_is_that_of_each_phase(quick):
 
 def test_a_sample_that_the_run_did_not_believe_changes_nothing(quick, retouched):
     session = quick.session
-    row = braking_row(session) + 40
+    row = braking_start(session)[0] + 40
     found = asked(retouched(session, row, board_flags=1), "controller.gains.Mk=3.0")
     assert found.requests[row] == found.requests[row - 1]
 
@@ -134,7 +134,7 @@ class Refusing:
 
 def test_a_controller_that_raises_is_reported_with_the_tick(quick):
     session = quick.session
-    tick = braking_row(session) + 10
+    tick = braking_start(session)[0] + 10
     with pytest.raises(SessionError, match=rf"asked at tick {tick}, it raised ArithmeticError: enough"):
         asked(session, "controller.name=refusing", controllers={**CONTROLLERS, "refusing": Refusing})
 
