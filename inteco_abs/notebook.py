@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from datetime import datetime
 from html import escape
@@ -22,6 +22,7 @@ from inteco_abs.experiment import run_stop as run_experiment
 from inteco_abs.mock_board import rig_check
 from inteco_abs.plugins import FROM_FILE, Controllers, Origin, load_controller
 from inteco_abs.population_file import rig_settings
+from inteco_abs.realtime import Tuner
 from inteco_abs.sessions import card_of
 
 if TYPE_CHECKING:
@@ -122,11 +123,14 @@ class Rig:
         out: str | Path | None = None,
         seed: int = 0,
         real_time: bool | None = None,
+        changes: Sequence[str] = (),
+        tuner: Tuner | None = None,
     ) -> Session:
         """Drive, brake and record; return the session. `card["outcome"]` has the outcome.
 
         `controller` is a name as on the command line or, in virtual time, a class; `seed` is that of the mock board's
-        random state. A simulated board runs in virtual time unless `real_time` is True. An interrupt ends the run
+        random state. A simulated board runs in virtual time unless `real_time` is True. `changes` plans changes of
+        gains, as "Mk=5@brake+200ms"; in real time `tuner` makes them while the run lasts. An interrupt ends the run
         safely. Warns if the decisions of a controller that does not ship do not replay. Raises ConfigError or
         BoardError if it cannot start.
         """
@@ -134,6 +138,8 @@ class Rig:
         given: Mapping[str, object] = gains or {}
         for name, value in given.items():  # also numpy's numbers; the configuration checks the type
             chosen[f"controller.gains.{name}"] = float(value) if isinstance(value, SupportsFloat) else value
+        if changes:
+            chosen["experiment.changes"] = list(changes)
         if estimator is not None:
             chosen["estimator.name"] = estimator
         config = self.config(controller, **chosen)
@@ -145,7 +151,7 @@ class Rig:
             problem = f"{_name(controller)} is a class of this process; real time needs a file: file.py:Class"
             raise ConfigError.of("controller", problem)
         plan = Plan(path, self.board, virtual, seed, known, origin.source, controller_package=origin.package)
-        problem = replay_problem(config, plan, run_experiment(config, plan))
+        problem = replay_problem(config, plan, run_experiment(config, plan, tuner=tuner))
         if problem:
             warnings.warn(problem, stacklevel=2)
         return open_session(path)

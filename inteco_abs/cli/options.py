@@ -168,6 +168,7 @@ class RunOptions:
     estimator: str | None = None
     changes: tuple[str, ...] = ()
     """NAME=VALUE@WHEN each, in place of `experiment.changes`."""
+    tune: bool = False
     faults: tuple[str, ...] = ()
     live_port: int | None = None
     live: str | None = None
@@ -205,10 +206,13 @@ class RunOptions:
 
     def plan(self, out: Path, *, wire: Path | None = None, frames: bool = False) -> tuple[RigConfig, Plan]:
         """Configuration and plan of a stop recorded at `out`; nothing is opened or created. Raises ConfigError."""
+        from inteco_abs.cli.screens import require_keyboard
         from inteco_abs.control import control_check, preferred_estimator
         from inteco_abs.experiment import Plan
         from inteco_abs.mock_board import parse_faults
 
+        if self.tune:
+            require_keyboard(self.live, virtual=self.virtual, quiet=self.quiet)
         controllers = known_controllers(self.controller)
         config = self.load(*self.chosen, checks=[control_check(controllers)], follows=preferred_estimator(controllers))
         source, package = controllers.origin(config.controller.name)
@@ -250,6 +254,7 @@ _OPTIONS: Final = {
     "changes": _option("--change", multiple=True, metavar="NAME=VALUE@WHEN",
                        help="Change a gain, or reference_slip, during the run, as in Mk=5@brake+200ms, "
                        "reference_slip=0.3@brake2 or Mk=5@3.5s."),
+    "tune": _option("--tune", is_flag=True, help="Change gains with keys during a run in real time."),
     "faults": _option("--inject", multiple=True, metavar="FAULT",
                       help="Inject a fault into the mock board, as lose@brake+20ms; `inteco-abs faults` lists all."),
     "live_port": _option("--foxglove", is_flag=False, flag_value=_LIVE_PORT, type=Whole(0, 65535), metavar="[PORT]",

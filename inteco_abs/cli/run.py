@@ -98,9 +98,14 @@ def brake(rig: RigConfig, plan: Plan, options: RunOptions) -> RunResult:
 
     if not plan.virtual:
         _report_left_rings()
-    screen = screen_of(rig, options.live, virtual=plan.virtual, quiet=options.quiet)
+    tuner = None
+    if options.tune:
+        from inteco_abs.realtime import Tuner
+
+        tuner = Tuner()
+    screen = screen_of(rig, options.live, virtual=plan.virtual, quiet=options.quiet, tuner=tuner)
     with ensured_directory(plan.out.parent), screen as shown:
-        return run_stop(rig, plan, screen=shown)
+        return run_stop(rig, plan, screen=shown, tuner=tuner)
 
 
 def report_end(stop: RunResult) -> None:

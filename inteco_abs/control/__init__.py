@@ -39,7 +39,6 @@ from inteco_abs.control.factory import (
 )
 from inteco_abs.control.functions import Function, finite_demand, finite_estimate, function_of
 from inteco_abs.control.gain_changes import (
-    MOST_CHANGES,
     REFERENCE,
     ChangePlan,
     GainChange,
@@ -64,7 +63,6 @@ from inteco_abs.control.wheel_dynamics import WheelDynamics
 __all__ = [
     "CONTROLLERS",
     "ESTIMATORS",
-    "MOST_CHANGES",
     "OVER",
     "REFERENCE",
     "REST_COUNTS",

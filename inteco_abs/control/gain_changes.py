@@ -18,8 +18,6 @@ from inteco_abs.quantities import number_hint
 
 REFERENCE: Final = "reference_slip"
 """Name of the slip to hold among the gains."""
-MOST_CHANGES: Final = 4096
-"""Changes in one run."""
 _LEAST_SLIP: Final = 0.001
 _MOST_SLIP: Final = 0.999
 _FORM: Final = re.compile(r"(?P<name>[^=@]+)=(?P<value>[^=@]+)@(?P<when>[^=@]+)")

@@ -11,11 +11,12 @@ from typing import Final, NamedTuple
 
 from inteco_abs.boards import check_address, check_kind, check_limits, simulated
 from inteco_abs.config import RigConfig
+from inteco_abs.control import Gain
 from inteco_abs.experiment.plan import Plan, job_of, require_linux, require_mock_board, ring_ticks
 from inteco_abs.host import as_facts
 from inteco_abs.host.doctor import examine
 from inteco_abs.mock_board import ON_THE_HOST, Fault, require_possible
-from inteco_abs.realtime import RunMemory, Screen
+from inteco_abs.realtime import RunMemory, Screen, Tuner
 from inteco_abs.realtime.processes.manual import ONLY_WATCHED, ManualClient, slowed
 from inteco_abs.realtime.processes.supervisor import Supervisor
 from inteco_abs.sessions import TICK, TRUTH, RunResult
@@ -24,11 +25,13 @@ _PANEL_RING_S: Final = 30.0
 """After this time without reading ticks, a screen counts as ended."""
 
 
-def run_in_real_time(config: RigConfig, plan: Plan, screen: Screen) -> RunResult:
+def run_in_real_time(config: RigConfig, plan: Plan, screen: Screen, tuner: Tuner, gains: Sequence[Gain]) -> RunResult:
+    """Run one experiment in real time; `tuner` changes its `gains`."""
+    declared = [gain.name for gain in plan.controllers[config.controller.name].gains]
     doctor = {"doctor": as_facts(examine(plan.out.absolute().parent))}
     with processes(config, plan, ring_ticks(config), doctor) as (memory, supervisor):
         try:
-            return supervisor.run(screen)
+            return supervisor.run(screen, tuner.connected(memory, gains, declared))
         except BaseException:
             if memory.tick_reader().written:
                 memory.keep()  # the file may lack some ticks

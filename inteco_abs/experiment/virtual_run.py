@@ -277,7 +277,7 @@ class VirtualRun:
     def _stowed(self, writer: FailoverWriter, end: RunEnd, error: SessionError) -> SessionError:
         job = replace(job_of(self._config, self._plan), session_id=self._session_id, virtual=True)
         try:
-            ring = spool_run(job, writer.header, end, self._window, writer.path)
+            ring = spool_run(job, writer.header, end, self._window, writer.path, writer.changes)
         except SessionError as second:
             out, seed = self._plan.out, self._plan.seed
             return SessionError(

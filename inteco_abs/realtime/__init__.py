@@ -1,7 +1,7 @@
 """The loop with its clocks and its memory, and the processes of a real-time run."""
 
 from inteco_abs.realtime.clock import Beat, Clock, PacedClock, VirtualClock
-from inteco_abs.realtime.gain_changes import GainChanges
+from inteco_abs.realtime.gain_changes import ChangeTable, GainChanges, Tuner
 from inteco_abs.realtime.histogram import Histogram
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.loop import Loop, StopFlag, StopSource, detail_of
@@ -55,6 +55,7 @@ __all__ = [
     "LOOP_PRIORITY",
     "POINTS_PER_S",
     "Beat",
+    "ChangeTable",
     "Clock",
     "Core",
     "Field",
@@ -79,6 +80,7 @@ __all__ = [
     "StopFlag",
     "StopSource",
     "TickRing",
+    "Tuner",
     "VirtualClock",
     "Window",
     "alive",

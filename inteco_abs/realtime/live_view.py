@@ -20,6 +20,7 @@ from inteco_abs.boards import simulated
 from inteco_abs.format import LOG_TOPIC, PARAMETERS_TOPIC, RESULT_TOPIC, TICK, TRUTH, pack_result
 from inteco_abs.quantities import quantities
 from inteco_abs.realtime.foxglove_server import PERIOD_S, Answer, FoxgloveServer, Service
+from inteco_abs.realtime.gain_changes import ChangeTable
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import Field, Mailbox, RunMemory
 from inteco_abs.sessions import (
@@ -107,6 +108,8 @@ class _RunServer:
         burst = Service(BURST_TOPIC, _BURST, _SENT, self._burst)
         self._server = FoxgloveServer(port, job.session_id, channels, [burst])
         self.port = self._server.port
+        self._changes: ChangeTable | None = None
+        self._shown_changes = 0
         self._over = Event()
         self._thread = Thread(target=self._serve, daemon=True)
         self._thread.start()
@@ -133,6 +136,7 @@ class _RunServer:
         if not self._described:
             self._describe()
         records, self._next = self._ticks.look(self._next)
+        self._show_changes()
         if records:
             self._show_events(records)
             self._newest = records[-TICK.size :]
@@ -158,9 +162,18 @@ class _RunServer:
         for topic in (TICK.topic, BURST_TOPIC):
             self._server.describe(row_channel(TICK, quantities(header["internals"]))._replace(topic=topic))
         self._server.describe(parameter_channel(quantities(header["declared"])))
+        self._changes = ChangeTable(self._memory, (each[0] for each in header["declared"]))
         gains = {"reference_slip": self._job.config.controller.reference_slip, **header["gains"]}
         now_ns = self._epoch_ns + time.monotonic_ns()
         self._server.send(PARAMETERS_TOPIC, now_ns, pack_parameters(gains), keep=True)
+
+    def _show_changes(self) -> None:
+        if self._changes is None:
+            return
+        for tick, name, value in self._changes.changes(self._shown_changes):
+            self._shown_changes += 1
+            now_ns = self._epoch_ns + time.monotonic_ns()
+            self._server.send(PARAMETERS_TOPIC, now_ns, pack_parameters({name: value}, tick), keep=True)
 
     def _show_events(self, records: bytes) -> None:
         rows = TICK.array(records)

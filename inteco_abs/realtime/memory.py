@@ -31,9 +31,15 @@ _PREFIX: Final = "inteco-abs-"
 _SOCKET: Final = ".board"
 _FRAMES: Final = ".frames"
 _KIND: Final = b"inteco-abs ring"
-_MAGIC: Final = _KIND + b" 2\n"
+_MAGIC: Final = _KIND + b" 3\n"
 _HEADER: Final = struct.Struct("<32s4Q")
 _POLL_S: Final = 0.001
+_CHANGE: Final = struct.Struct("<2qd")
+"""Tick, number of a gain, its new value."""
+_BITS: Final = struct.Struct("<q")
+_NUMBER: Final = struct.Struct("<d")
+MOST_CHANGES: Final = 4096
+"""Changes of gains in one run."""
 _NO_PROCESS: Final = (errno.ESRCH, errno.EINVAL, errno.ENOENT)
 """Errors of pidfd_open for no process, or for a thread's number (ENOENT since Linux 6.9)."""
 _LARGEST_PID: Final = (1 << 31) - 1
@@ -111,6 +117,20 @@ class Field(IntEnum):
     """Start of the supervisor, as `start_time` returns it; 0 if not known."""
     LOOP_STARTED = auto()
     RECORDER_STARTED = auto()
+    # the supervisor, for a person who changes a gain
+    CHANGES_ASKED = auto()
+    """Number of changes that were asked for; set last."""
+    ASKED_GAIN = auto()
+    """Number of the gain: 0 is the reference slip, then come those that the controller declares."""
+    ASKED_VALUE = auto()
+    """Its new value: the bits of a double."""
+    # the loop
+    CHANGES_ANSWERED = auto()
+    """Number of the request that it has answered; set last."""
+    ANSWER_TICK = auto()
+    """Tick from which on the change holds; -1: it was refused."""
+    CHANGES = auto()
+    """Changes of gains so far, planned ones included."""
 
 
 class Mailbox(IntEnum):
@@ -157,7 +177,8 @@ def _note_places() -> tuple[dict[Mailbox, tuple[int, int]], int]:
 
 
 _NOTES, _HISTOGRAM_AT = _note_places()
-_RINGS_AT: Final = -(-(_HISTOGRAM_AT + Histogram.BYTES) // 4096) * 4096
+_CHANGES_AT: Final = _HISTOGRAM_AT + Histogram.BYTES
+_RINGS_AT: Final = -(-(_CHANGES_AT + MOST_CHANGES * _CHANGE.size) // 4096) * 4096
 
 
 def run_bytes(tick_bytes: int, tick_capacity: int, truth_bytes: int, truth_capacity: int) -> int:
@@ -299,6 +320,30 @@ class RunMemory:
         """Return a note; None if it was not posted yet."""
         data = self.image(note)
         return None if data is None else json.loads(data)
+
+    def ask_change(self, gain: int, value: float) -> int:
+        """Ask the loop to change a gain; return the request's number. The one before must have been answered."""
+        words = self.words
+        words[Field.ASKED_GAIN] = gain
+        (words[Field.ASKED_VALUE],) = _BITS.unpack(_NUMBER.pack(value))
+        words[Field.CHANGES_ASKED] = number = words[Field.CHANGES_ASKED] + 1
+        return number
+
+    def asked_change(self) -> tuple[int, float]:
+        """Number of the gain that shall change, and its new value."""
+        (value,) = _NUMBER.unpack(_BITS.pack(self.words[Field.ASKED_VALUE]))
+        return self.words[Field.ASKED_GAIN], value
+
+    def add_change(self, tick: int, gain: int, value: float) -> None:
+        """Keep a change of a gain for the recorder; `MOST_CHANGES` have room."""
+        number = self.words[Field.CHANGES]
+        _CHANGE.pack_into(self._memory, _CHANGES_AT + number * _CHANGE.size, tick, gain, value)
+        self.words[Field.CHANGES] = number + 1  # last: a change is there whole or not at all
+
+    def changes(self, first: int = 0) -> list[tuple[int, int, float]]:
+        """Tick, number of the gain and new value of each change from number `first` on."""
+        places = (_CHANGES_AT + number * _CHANGE.size for number in range(first, self.words[Field.CHANGES]))
+        return [_CHANGE.unpack_from(self._memory, at) for at in places]
 
     def tick_ring(self, pack: Pack, first: int = 0) -> TickRing:
         """Return the writer of the ticks, whose first record has the number `first`."""

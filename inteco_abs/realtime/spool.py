@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from inteco_abs.control import GainChange
 from inteco_abs.realtime.frame_spool import spool_frames
+from inteco_abs.realtime.gain_changes import ChangeTable
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import Mailbox, RunMemory
 from inteco_abs.realtime.ring import TickRing
@@ -13,10 +16,12 @@ from inteco_abs.realtime.window import Window
 from inteco_abs.sessions import TICK, TRUTH, RunEnd, RunHeader
 
 
-def spool_run(job: Job, header: RunHeader, end: RunEnd, window: Window, file: Path) -> Path:
-    """Copy what `window` holds of a run in virtual time into new shared memory, and return its path.
+def spool_run(
+    job: Job, header: RunHeader, end: RunEnd, window: Window, file: Path, changes: Sequence[GainChange] = ()
+) -> Path:
+    """Copy what `window` holds of a run in virtual time, and its `changes` of gains, into new shared memory.
 
-    Earlier ticks are in `file`. Raises SessionError if there is not enough memory.
+    Returns its path. Earlier ticks are in `file`. Raises SessionError if there is not enough memory.
     """
     ticks, truths = window.ticks, window.truths
     memory = RunMemory.create(TICK.size, max(len(ticks), 1), TRUTH.size, max(len(truths), 1))
@@ -30,6 +35,9 @@ def spool_run(job: Job, header: RunHeader, end: RunEnd, window: Window, file: Pa
     for records, seen in window.held():
         _fill(ring, records, TICK.size)
         _fill(states, seen, TRUTH.size)
+    table = ChangeTable(memory, (gain.name for gain in header.declared))
+    for change in changes:
+        table.record(change)
     if end.frames is not None:
         spool_frames(memory, end.frames)
     memory.keep()

@@ -25,6 +25,7 @@ from inteco_abs.views.keys import pressed_keys, stop_keys
 from inteco_abs.views.plot import Curve, PlotAxes, plot
 from inteco_abs.views.text_lines import Line, TextLines, apart, length, padded
 from inteco_abs.views.trace import RunTrace
+from inteco_abs.views.tuning_panel import Tunable, TuningPanel
 
 LEAST: Final = (80, 24)
 """Columns and rows of the smallest terminal for the whole dashboard."""
@@ -62,7 +63,7 @@ _ASCII: Final = _Signs("x", ">", ".", "#", ".", "-", "", "")
 class Dashboard:
     """Shows a run on a terminal in place; in one line on a small terminal or with `line`. A context manager.
 
-    With `playback`, it shows a session that `rewind` and `describe` control.
+    With `playback`, it shows a session that `rewind` and `describe` control; with a `tuner`, keys change gains.
     """
 
     def __init__(
@@ -74,8 +75,10 @@ class Dashboard:
         line: bool = False,
         plain: bool = False,
         playback: bool = False,
+        tuner: Tunable | None = None,
     ) -> None:
         self._console = console
+        self._panel = None if tuner is None else TuningPanel(tuner)
         self._playback = playback
         self._state = "virtual time " if virtual else ""
         self._plain = plain or console.options.ascii_only
@@ -107,8 +110,8 @@ class Dashboard:
 
     @contextmanager
     def listening(self, stop: Callable[[], None]) -> Iterator[None]:
-        """Let q and space call `stop`, if the program has the keyboard."""
-        with stop_keys(stop, _stdin()) as can:
+        """Let q and space call `stop`, and other keys change gains, if the program has the keyboard."""
+        with stop_keys(stop, _stdin(), self._panel.press if self._panel else None) as can:
             self._hint = KEYS if can else CTRL_C
             yield
 
@@ -177,7 +180,8 @@ class Dashboard:
         width, height = self._console.size
         signs = _ASCII if self._plain else _UNICODE
         spare: list[Line] = [[]] if height >= _ROOMY else []
-        room = height - 1 - 5 - len(spare)  # the lines around it
+        tuning: list[Line] = [] if self._panel is None or not self._hint else [self._panel.line(width)]
+        room = height - 1 - 5 - len(spare) - len(tuning)  # the lines around it
         body = self._plots(width, room) if self._trace.braked() else self._start(width, signs)
         return [
             self._title(width, signs),
@@ -186,6 +190,7 @@ class Dashboard:
             *body[:room],
             self._duties(width, signs),
             self._timing(),
+            *tuning,
             self._end(width, signs),
         ]
 
@@ -274,7 +279,7 @@ class Dashboard:
     def _slip(self, width: int, rows: int) -> list[Line]:
         times, _, _, slip, reference = self._trace.columns()
         axes, constant = PlotAxes(self._trace.span_s(), 1.0), self._config.controller.constant_slip
-        if constant is None:
+        if constant is None or np.any(reference[np.isfinite(reference)] != constant):
             known = np.isfinite(reference)  # while braking
             held = Curve(times[known], reference[known], "", "-", dashed=True)
             now = f"{held.values[-1]:.3f}" if len(held.values) else "changing"

@@ -17,12 +17,16 @@ _PAUSE_S: Final = 0.2
 
 
 @contextmanager
-def stop_keys(stop: Callable[[], None], terminal: int = 0) -> Iterator[bool]:
-    """Let `STOPPING` keys call `stop`, as `pressed_keys`."""
+def stop_keys(
+    stop: Callable[[], None], terminal: int = 0, other: Callable[[bytes], None] | None = None
+) -> Iterator[bool]:
+    """Let `STOPPING` keys call `stop`, and all others `other`, as `pressed_keys`."""
 
     def handle(keys: bytes) -> None:
         if not STOPPING.isdisjoint(keys):
             stop()
+        elif other is not None:
+            other(keys)
 
     with pressed_keys(handle, terminal) as can:
         yield can

@@ -200,10 +200,10 @@ class Stack:
         self.stop = StopFlag()
         self._beats = beats
 
-    def loop(self, pipeline=None) -> Loop:
+    def loop(self, pipeline=None, changes=None) -> Loop:
         self.link.answers = 0
         pipeline = build_pipeline(self.config) if pipeline is None else pipeline
-        return Loop(self.board, pipeline, self._beats, self.ring, self.stop)
+        return Loop(self.board, pipeline, self._beats, self.ring, self.stop, changes)
 
     def rows(self):
         """Records that were not taken yet, as a structured array."""

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from inteco_abs.config import load_config
-from inteco_abs.control import Gain, make_controller
+from inteco_abs.control import Gain, make_controller, set_gain
 from inteco_abs.errors import BoardError, ConfigError, ControllerError
 from inteco_abs.plugins import Controllers, Origin, load_controller
 from inteco_abs.realtime.processes import controller as isolated
@@ -130,6 +130,31 @@ def test_it_gets_the_reference_of_now_and_so_does_its_copy(isolate):
         controller = deepcopy(first)
         brakes = [controller.update(Estimate(speed, speed, 0.0, True), 5e-4).brake for speed in (90.0, 40.0, 10.0)]
         assert brakes == [0.1, pytest.approx(0.2), 0.3]
+
+
+@pytest.mark.usefixtures("patient")
+def test_a_gain_that_it_keeps_changes_there_and_in_its_copies(law):
+    _, first = law(asked="return BrakeDemand(self.duty)", made="self.reference = setup.reference_slip")
+    copy = deepcopy(first)
+    assert first.keeps_gain("duty", 0.7)
+    assert first.keeps_gain("reference_slip", 0.2)
+    set_gain(first, "duty", 0.25)
+    assert [each.update(ESTIMATES[0], 5e-4).brake for each in (first, copy)] == [0.25, 0.7]
+    assert deepcopy(first).update(ESTIMATES[0], 5e-4).brake == 0.25
+
+
+@pytest.mark.usefixtures("patient")
+def test_a_gain_that_it_turns_into_something_else_and_a_reference_that_it_does_not_read_stay(law):
+    _, controller = law(made="self.duty = duty / 2")
+    assert not controller.keeps_gain("duty", 0.7)
+    assert not controller.keeps_gain("reference_slip", 0.2)
+
+
+@pytest.mark.usefixtures("patient")
+def test_the_reference_that_changes_reaches_it(law):
+    _, controller = law(asked="return BrakeDemand(self.reference)", made="self.reference = setup.reference_slip")
+    set_gain(controller, "reference_slip", 0.35)
+    assert controller.update(ESTIMATES[0], 5e-4).brake == 0.35
 
 
 @pytest.mark.usefixtures("patient")

@@ -20,10 +20,10 @@ from inteco_abs.analysis import replay_session
 from inteco_abs.boards import STILL_ON, InProcessLink
 from inteco_abs.boards.families.usb2 import RtdacUsb2
 from inteco_abs.boards.families.usb2.mock import Usb2FrontEnd
-from inteco_abs.control import build_pipeline, gains_in_force
+from inteco_abs.control import CONTROLLERS, build_pipeline, gains_in_force, gains_to_change
 from inteco_abs.errors import ConfigError, SessionError
 from inteco_abs.mock_board import Device
-from inteco_abs.realtime import Loop, StopFlag, VirtualClock
+from inteco_abs.realtime import ChangeTable, GainChanges, Loop, StopFlag, VirtualClock
 from inteco_abs.realtime.memory import Field, Mailbox, RunMemory
 from inteco_abs.realtime.processes import recorder
 from inteco_abs.realtime.processes.recorder import describe_board, rebuild, recover_run, run_end
@@ -34,6 +34,7 @@ from inteco_abs.sessions import (
     FileWriter,
     RunHeader,
     SessionWriter,
+    changes_among,
     disk,
     pack_tick,
     read_session,
@@ -57,7 +58,7 @@ class Filled:
         device = Device(config, clock.now_ns, job.seed, truths.append)
         board = RtdacUsb2(InProcessLink(Usb2FrontEnd(device)), config.board, clock.now_ns, config.period_ns)
         ring = memory.tick_ring(pack_tick)
-        pipeline = build_pipeline(config)
+        pipeline, declared = build_pipeline(config), CONTROLLERS[config.controller.name].gains
         self.payload = b""
         self.reader = memory.tick_reader()
         with board:
@@ -66,13 +67,16 @@ class Filled:
                 "identity": board.require_writable().facts(),
                 "gains": gains_in_force(config),
                 "internals": [],
+                "declared": [gain.quantity for gain in declared],
                 "settings": [
                     {"name": "scheduler", "value": "SCHED_FIFO 80", "refused": ""},
                     {"name": "memory", "value": "default", "refused": "no right: raise memlock"},
                 ],
             }
             memory.post(Mailbox.HEADER, self.introduction)
-            loop = Loop(board, pipeline, clock, ring, StopFlag())
+            table = ChangeTable(memory, (gain.name for gain in declared))
+            changes = GainChanges(config, pipeline, gains_to_change(pipeline, config), table.record)
+            loop = Loop(board, pipeline, clock, ring, StopFlag(), changes)
             over = False
             while not over:
                 over = loop.run(100)
@@ -158,6 +162,18 @@ class TestRebuild:
         session = read_session(whole.job.path)
         again = replay_session(session, build_pipeline(whole.job.config))
         assert (again.ticks, again.differing) == (whole.ticks, 0)
+
+    def test_changes_of_gains_come_from_memory_and_replay(self, new_memory, job_of):
+        memory = new_memory(5000, 5100)
+        run = Filled(memory, job_of(memory, 'experiment.changes=["Mk=9@brake+#5", "reference_slip=0.3@brake+#9"]'))
+        run.conclude()
+        rebuild(run.memory, run.job, run.job.path)
+        session = read_session(run.job.path)
+        assert [(each.name, each.value) for each in changes_among(session.parameters)] == [
+            ("Mk", 9.0),
+            ("reference_slip", 0.3),
+        ]
+        assert replay_session(session, build_pipeline(run.job.config)).differing == 0
 
     def test_the_session_names_its_software_and_settings(self, whole):
         whole.conclude()

@@ -15,7 +15,7 @@ from inteco_abs.errors import AbsError, BoardError, ConfigError, ReadOnlyError, 
 from inteco_abs.experiment import Plan, run_stop
 from inteco_abs.realtime import memory
 from inteco_abs.realtime.processes.recorder import recover_run
-from inteco_abs.sessions import FileWriter, file_writer, read_session
+from inteco_abs.sessions import FileWriter, changes_among, file_writer, read_session
 from inteco_abs.signals import EXPLANATIONS, BrakeDemand, Phase, Reason
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
@@ -242,7 +242,7 @@ def test_a_run_that_no_disk_takes_is_recovered_from_memory(run, quick, vanishing
     (tmp_path / "memory").mkdir()
     monkeypatch.setattr(memory, "FOLDER", tmp_path / "memory")
     with pytest.raises(SessionError, match=r"is gone.*Its ticks are kept in .*: inteco-abs recover ") as refusal:
-        run(name=vanishing)
+        run('experiment.changes=["reference_slip=0.2@brake"]', name=vanishing)  # the same slip as without
     assert refusal.value.exit_code == 3
     (ring,) = memory.left_rings(tmp_path / "memory")
     assert f"inteco-abs recover {ring} --out FILE" in str(refusal.value)
@@ -253,6 +253,7 @@ def test_a_run_that_no_disk_takes_is_recovered_from_memory(run, quick, vanishing
     assert len(session.truth) == len(quick.session.truth)
     assert session.metadata["rig"]["virtual_time"] == "true"
     assert session.attachments.keys() == quick.session.attachments.keys()
+    assert [(each.name, each.value) for each in changes_among(session.parameters)] == [("reference_slip", 0.2)]
     assert replayed(session).differing == 0
     assert not ring.exists()
 

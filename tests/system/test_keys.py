@@ -3,7 +3,7 @@
 import pytest
 from on_terminal import OnTerminal
 
-from inteco_abs.sessions import read_session
+from inteco_abs.sessions import changes_among, read_session
 from inteco_abs.signals import Phase
 
 pytestmark = pytest.mark.untraced
@@ -100,3 +100,30 @@ def test_a_file_gets_neither_colour_nor_pictures(inteco_abs):
     done = inteco_abs("run", "--virtual", *(word for setting in QUICK for word in ("--set", setting)), check=0)
     assert "\x1b" not in done.stderr + done.stdout
     assert "car" not in done.stderr
+
+
+@real_time
+@pytest.mark.long
+def test_keys_change_gains_while_a_run_lasts_and_the_session_replays(run, tmp_path, verb):
+    program = run("--tune", "--set", "experiment.idle_s=1.0", columns=120)
+    program.until("ARMED")
+    program.press("\t7.5\r")
+    program.until("from tick")
+    program.press("9999\r")
+    program.until("must be in 0..1000")
+    program.press("\x1b[Z\x1b[A")
+    assert program.end() in {0, 3}
+    changes = changes_among(read_session(tmp_path / "stop.mcap").parameters)
+    assert [(each.name, each.value) for each in changes] == [("Mk", 7.5), ("reference_slip", 0.2 + 0.05 * 0.2)]
+    assert "none differ" in verb("replay", tmp_path / "stop.mcap").out
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [(("--virtual",), "virtual time is over before"), (("--live", "line"), "needs the whole display on a terminal")],
+)
+def test_what_cannot_tune_is_refused_and_nothing_starts(run, tmp_path, options, problem):
+    program = run("--tune", *options)
+    assert program.end() == 2
+    assert problem in program.written
+    assert not (tmp_path / "stop.mcap").exists()

@@ -25,7 +25,7 @@ from copy import deepcopy
 from pathlib import Path
 from typing import IO, Any, Final, cast
 
-from inteco_abs.control import CONTROLLERS, Controller, Gain, Setup, demand_of
+from inteco_abs.control import CONTROLLERS, REFERENCE, Controller, Gain, Setup, demand_of, keeps_gain, set_gain
 from inteco_abs.errors import BoardError, ConfigError, ConfigIssue, ControllerError, describe_error
 from inteco_abs.plugins import FROM_FILE, LOADING_MOST_S, Controllers, late_files, load_controller, with_files
 from inteco_abs.quantities import quantities
@@ -50,6 +50,8 @@ _OBSERVED: Final = struct.Struct("<2q5d?11d")
 """The fields of `_ESTIMATE`, and a prediction."""
 _COPY: Final = struct.Struct("<2q")
 """Number of the request, of the controller to copy."""
+_CHANGE: Final = struct.Struct("<3qd")
+"""Number of the request, of the controller, of the gain to change among those declared, its new value."""
 _REPLY: Final = struct.Struct("<q7d")
 """Number of the request, demand."""
 _NUMBER: Final = struct.Struct("<q")
@@ -84,8 +86,12 @@ class IsolatedController:
 
     def __call__(self, setup: Setup, **gains: float) -> Controller:
         """Make the controller. Raises ControllerError with what its constructor raises."""
-        self._order((setup, gains))
+        self._kept = self._order((setup, gains))["kept"]
         return cast("Controller", _Proxy(self, 0))
+
+    def keeps_gain(self, name: str) -> bool:
+        """Whether the controller that was made can change this gain, or `reference_slip`."""
+        return name in self._kept
 
     def answer(self, request: Callable[..., bytes], *what: object) -> list[float]:
         """Return its answer within 20 ms; without one, end its process and raise ControllerError."""
@@ -187,6 +193,18 @@ class _Proxy:
         brake, torque, switching, c0, c1, c2, c3 = answer
         return BrakeDemand(brake, torque, switching, (c0, c1, c2, c3))
 
+    def keeps_gain(self, name: str, _value: float) -> bool:
+        """Whether `change_gain` can change this gain."""
+        return self._process.keeps_gain(name)
+
+    def change_gain(self, name: str, value: float) -> None:
+        """Change a gain, or `reference_slip`."""
+        if name == REFERENCE:
+            self.reference = value
+        else:
+            number = [gain.name for gain in self._process.gains].index(name)
+            self._process.answer(_CHANGE.pack, self._which, number, value)
+
     def __deepcopy__(self, _memo: object) -> _Proxy:
         """Copy the controller in its process, which then keeps only these two."""
         copy = _Proxy(self._process, int(self._process.answer(_COPY.pack, self._which)[0]))
@@ -229,19 +247,20 @@ def main(_path: str) -> int:
 
 
 def _serve(requests: int, replies: int) -> None:
-    controller = _make_controller(requests, replies)
-    if controller is None:
+    made = _make_controller(requests, replies)
+    if made is None:
         return
+    controller, kept = made
     apply(controller_tuning())
     resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))  # without root's rights nothing here rises above the loop
-    _write(replies, {})
+    _write(replies, {"kept": kept})
     _answer(requests, replies, controller)
     for file in late_files():
         sys.stderr.write(f"inteco-abs: the controller opened {file} while it ran: the session does not keep that\n")
 
 
-def _make_controller(requests: int, replies: int) -> Controller | None:
-    """Return the requested controller; None after an error, which was written as the answer."""
+def _make_controller(requests: int, replies: int) -> tuple[Controller, list[str]] | None:
+    """Return the requested controller, and the gains that it can change; None after an error, written as the answer."""
     with os.fdopen(requests, "rb", closefd=False) as orders:
         try:
             name, source = pickle.load(orders)  # noqa: S301  it comes from the trusted parent
@@ -249,6 +268,8 @@ def _make_controller(requests: int, replies: int) -> Controller | None:
             _write(replies, {"gains": kind.gains, "internals": kind.internals})
             setup, gains = pickle.load(orders)  # noqa: S301
             controller: Controller = kind(setup, **gains)
+            values = {REFERENCE: setup.reference_slip, **gains}
+            kept = [gain for gain, value in values.items() if keeps_gain(controller, gain, value)]
             with_files(name, source)
         except EOFError:  # the parent has ended
             return None
@@ -258,7 +279,7 @@ def _make_controller(requests: int, replies: int) -> Controller | None:
         except BaseException as error:  # noqa: BLE001  the top of a process, with a user's code in it
             _write(replies, {"error": describe_error(error)})
             return None
-    return controller
+    return controller, kept
 
 
 def _answer(requests: int, replies: int, controller: Controller) -> None:
@@ -274,6 +295,10 @@ def _answer(requests: int, replies: int, controller: Controller) -> None:
                 number, which, slip_to_hold, dt_s, wheel, road, slip, valid, *prediction = _OBSERVED.unpack(request)
                 estimate = Estimate(wheel, road, slip, valid, Prediction(*prediction))
                 answer = _demand(controllers[which], slip_to_hold, estimate, dt_s)
+            elif len(request) == _CHANGE.size:
+                number, which, gain, value = _CHANGE.unpack(request)
+                set_gain(controllers[which], controllers[which].gains[gain].name, value)
+                answer = (number, *_NO_NUMBERS)
             else:
                 number, which = _COPY.unpack(request)
                 controllers = {which: controllers[which], number: deepcopy(controllers[which])}

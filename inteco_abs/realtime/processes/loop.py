@@ -12,13 +12,14 @@ from pathlib import Path
 from typing import Final
 
 from inteco_abs.boards import Wrap, open_board, simulated
-from inteco_abs.control import Controller, build_pipeline, gains_in_force
+from inteco_abs.control import Controller, build_pipeline, gains_in_force, gains_to_change
 from inteco_abs.errors import AbsError
 from inteco_abs.format import pack_tick
 from inteco_abs.quantities import quantities
 from inteco_abs.realtime.clock import PacedClock
 from inteco_abs.realtime.failure_rules import LOOPS_WINDOW_NS
 from inteco_abs.realtime.frame_spool import saving_frames
+from inteco_abs.realtime.gain_changes import ChangeTable, GainChanges
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.loop import Loop, detail_of
 from inteco_abs.realtime.memory import Field, Mailbox, RunMemory
@@ -109,16 +110,19 @@ def _hold(memory: RunMemory, job: Job, around: Wrap, controllers: Mapping[str, t
     config, words = job.config, memory.words
     pipeline = build_pipeline(config, controllers)
     ring = memory.tick_ring(pack_tick)
+    controller = controllers[config.controller.name]
+    table = ChangeTable(memory, (gain.name for gain in controller.gains))
+    gains = gains_to_change(pipeline, config, controllers)
+    changes = GainChanges(config, pipeline, gains, table.record, table)
     clock = PacedClock(config.period_ns)
     cost: dict[str, str] = {}
     with holding(memory), open_board(job.address, config, clock.now_ns, around) as board:
         identity = board.require_writable()
         memory.post(Mailbox.SAFE_IMAGE, board.safe_image)
-        loop = Loop(board, pipeline, clock, ring, SharedStop(memory))
+        loop = Loop(board, pipeline, clock, ring, SharedStop(memory), changes)
         settings = apply(loop_tuning())
         pace = {} if simulated(job.board) else require_rate(board, config.period_ns)
         watchdog = prove_watchdog(board, config.period_ns, time.sleep)
-        controller = controllers[config.controller.name]
         header = {
             "identity": identity.facts() | watchdog,
             "gains": gains_in_force(config, controllers),

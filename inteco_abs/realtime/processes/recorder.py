@@ -24,6 +24,7 @@ from inteco_abs.errors import AbsError, SessionError
 from inteco_abs.quantities import quantities
 from inteco_abs.realtime.alarm import Alarm
 from inteco_abs.realtime.frame_spool import spooled_frames
+from inteco_abs.realtime.gain_changes import ChangeTable
 from inteco_abs.realtime.heartbeat import beating
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.live_view import LiveView, live_view
@@ -97,7 +98,7 @@ def _record(memory: RunMemory, job: Job, view: LiveView) -> None:
         with beating(memory, Field.RECORDER_BEAT_NS, _FLUSH_S), ThreadPoolExecutor(1) as pool:
             words[Field.RECORDING] = 1
             environment = pool.submit(current_environment)  # takes tenths of a second, in which ticks come
-            _Drain(memory, window, writer, environment, view).until_the_end()
+            _Drain(memory, window, writer, environment, view, change_table(memory, header)).until_the_end()
             if not writer.ticks:
                 writer.discard()
                 return
@@ -143,7 +144,9 @@ class _Drain:
         writer: FailoverWriter,
         environment: Future[Environment],
         view: LiveView,
+        changes: ChangeTable,
     ) -> None:
+        self._changes = changes
         self._memory, self._window, self._writer, self._view = memory, window, writer, view
         self._environment: Future[Environment] | None = environment
         self._alarm = Alarm(memory, turn=3)
@@ -186,6 +189,7 @@ class _Drain:
 
     def _hand_over(self, *, last: bool) -> None:
         ticks, truths = self._window.more(last=last)
+        self._writer.change(self._changes.changes(len(self._writer.changes)))  # those of these ticks are there
         self._writer.add(ticks, truths)
         _count(self._memory, ticks)
 
@@ -198,6 +202,11 @@ class _Drain:
         if self._writer.writing:
             self._memory.words[Field.SYNCED] = synced = self._writer.synced
             self._window.release(synced)
+
+
+def change_table(memory: RunMemory, header: RunHeader) -> ChangeTable:
+    """The changes of gains of the run."""
+    return ChangeTable(memory, (gain.name for gain in header.declared))
 
 
 def _count(memory: RunMemory, ticks: bytes) -> None:
@@ -353,6 +362,7 @@ def rebuild(memory: RunMemory, job: Job, out: Path, session: Path | None = None)
     with atomic_write(out) as part, opener(part) as file_writer:
         writer = SessionWriter(file_writer, job.config, header, session or out)
         writer.write_header()
+        writer.change(change_table(memory, header).changes())
         memory.histogram.clear()
         for records, states in chain(begin, rows):
             writer.add(records, states)

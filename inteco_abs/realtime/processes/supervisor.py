@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -64,8 +64,11 @@ class Supervisor:
         self._watch: ProcessWatch | None = None
         self._watching = ExitStack()
 
-    def run(self, screen: Screen) -> RunResult:
-        """Run the job. Raises what kept it from starting; KeyboardInterrupt if the operator stopped it before."""
+    def run(self, screen: Screen, tuning: AbstractContextManager[None] | None = None) -> RunResult:
+        """Run the job, in the context `tuning` from the first tick on.
+
+        Raises what kept it from starting; KeyboardInterrupt if the operator stopped it before.
+        """
         screen = SafeScreen(screen)
         allowed = os.sched_getaffinity(0)
         with handle_signals(self._stop), screen.listening(self._stop):
@@ -74,7 +77,8 @@ class Supervisor:
                 watch = self._begin_watch()
                 self._drill(screen)
                 self._start_loop(screen, watch)
-                self._until_the_loop_ends(screen, watch)
+                with tuning or nullcontext():
+                    self._until_the_loop_ends(screen, watch)
                 return self._result()
             finally:
                 self.end()
