@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
 import math
 import re
 from collections.abc import Iterable
-from typing import Final, NamedTuple
+from itertools import pairwise
+from typing import Any, Final, NamedTuple, cast
 
 _NUMBER: Final = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _WITH_COMMA: Final = re.compile(r"([+-]?\d+),(\d+)\s*[^\d,]*")
@@ -89,3 +92,13 @@ def other_unit(value: float, unit: str, low: float, high: float) -> str:
 
 def _in(unit: str) -> str:
     return f" in {unit}" if unit else ""
+
+
+def field_meanings(kind: type[Any]) -> dict[str, str]:
+    """The docstring below each field of a class, by name and on one line, from its source."""
+    body = cast(ast.ClassDef, ast.parse(inspect.getsource(kind)).body[0]).body
+    found = {}
+    for field, text in pairwise(body):
+        if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):
+            found[ast.unparse(field.target)] = " ".join(ast.literal_eval(text.value).split())
+    return found

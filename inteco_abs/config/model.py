@@ -30,12 +30,7 @@ class Section:
     """A section of rig.toml. Change a value with `dataclasses.replace`, which does not check it."""
 
     __slots__ = ()
-    __pydantic_config__: ClassVar = {
-        "extra": "forbid",
-        "strict": True,
-        "allow_inf_nan": False,
-        "use_attribute_docstrings": True,
-    }
+    __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True, "allow_inf_nan": False}
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:

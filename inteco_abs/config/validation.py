@@ -8,7 +8,6 @@ from __future__ import annotations
 import operator
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
-from functools import cache
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
@@ -29,7 +28,7 @@ from inteco_abs.config.model import (
     type_at,
 )
 from inteco_abs.errors import ConfigIssue, near_match, shortened
-from inteco_abs.quantities import number_hint, other_unit, unit_of
+from inteco_abs.quantities import field_meanings, number_hint, other_unit, unit_of
 
 _ADAPTER: Final = TypeAdapter(RigConfig)
 
@@ -48,24 +47,20 @@ def validated(table: Table, issues: list[ConfigIssue]) -> RigConfig | None:
 def json_schema() -> Table:
     """The JSON schema of rig.toml."""
     schema = _ADAPTER.json_schema()
-    for name, definition in schema["$defs"].items():
-        for key, value in defaults(getattr(model, name)).items():
+    for name, definition in {**schema["$defs"], RigConfig.__name__: schema}.items():
+        section = getattr(model, name)
+        for key, meaning in meanings(section).items():  # pydantic finds them, too, but each time it is imported
+            definition["properties"][key]["description"] = meaning
+        for key, value in defaults(section).items():
             if isinstance(value, list | dict):  # pydantic leaves out defaults made by a factory
                 definition["properties"][key]["default"] = value
     return schema
 
 
-@cache
-def _schema() -> dict[str, Any]:
-    return _ADAPTER.json_schema()
-
-
 def meanings(section: type[model.Section]) -> dict[str, str]:
     """Meaning of each key of a section: the docstring below it, on one line."""
-    schema = _schema()
-    definition = schema if section is RigConfig else schema["$defs"][section.__name__]
-    found = ((key, stated.get("description", "")) for key, stated in definition["properties"].items())
-    return {key: " ".join(text.split()) for key, text in found}
+    found = field_meanings(section)
+    return {key: found.get(key, "") for key in key_types(section)}
 
 
 class _KeyPair(NamedTuple):

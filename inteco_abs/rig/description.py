@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import ast
-import inspect
 from collections.abc import Iterator
 from dataclasses import fields
-from itertools import pairwise
-from typing import Any, Final, NamedTuple, cast
+from typing import Any, Final, NamedTuple
 
-from inteco_abs.quantities import Quantity
+from inteco_abs.quantities import Quantity, field_meanings
 
 _UNITS: Final = {
     name: unit
@@ -42,17 +39,7 @@ class RigNumber(NamedTuple):
 
 def described(record: Any) -> Iterator[RigNumber]:
     """The fields of a rig's dataclass with unit, meaning and value; numbers without a dimension have the unit `1`."""
-    meanings = _meanings(type(record))
+    meanings = field_meanings(type(record))
     for field in fields(record):
         quantity = Quantity(field.name, _UNITS.get(field.name, "1"), meanings.get(field.name, ""))
         yield RigNumber(quantity, str(field.type), getattr(record, field.name))
-
-
-def _meanings(kind: type[Any]) -> dict[str, str]:
-    """The docstring below each field, on one line."""
-    body = cast(ast.ClassDef, ast.parse(inspect.getsource(kind)).body[0]).body
-    found = {}
-    for field, text in pairwise(body):
-        if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):
-            found[ast.unparse(field.target)] = " ".join(ast.literal_eval(text.value).split())
-    return found

@@ -16,7 +16,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from numpy.lib import format as npy
-from numpy.lib.recfunctions import repack_fields
 
 from inteco_abs.errors import AbsError, SessionError, describe_disk
 from inteco_abs.sessions.files import atomic_write, check_output
@@ -129,6 +128,8 @@ def _csvw_column(table: Table, name: str) -> dict[str, str]:
 
 
 def _npz(path: Path, group: list[Table], session: Session) -> None:
+    from numpy.lib.recfunctions import repack_fields  # noqa: PLC0415  it loads masked arrays, a third of numpy's time
+
     with zipfile.ZipFile(path, "x") as archive:
         for table in group:
             packed = repack_fields(np.empty(0, table.dtype))
