@@ -2,6 +2,7 @@
 
 AbsError
 ├── ConfigError    the command line or rig.toml alone is wrong; nothing was touched
+│   └── ArgumentError  the same of a function's arguments
 ├── BoardError     the board is missing, unknown, refuses, or cannot be made safe
 │   ├── LinkError      an exchange failed: no answer, short, stale or not what was sent
 │   ├── UnsafeError    SAFE could not be confirmed
@@ -82,8 +83,10 @@ class ConfigError(AbsError):
         self.mistakes = tuple(mistakes)
         lines = [f"  {mistake}" for mistake in self.mistakes]
         count = f"{len(lines)} mistakes" if len(lines) > 1 else "a mistake"
-        place = "command line" if all(mistake.typed for mistake in self.mistakes) else "configuration"
-        super().__init__("\n".join([f"the {place} has {count}; nothing was started:", *_on_a_screen(lines)]))
+        super().__init__("\n".join([f"the {self._place()} has {count}; nothing was started:", *_on_a_screen(lines)]))
+
+    def _place(self) -> str:
+        return "command line" if all(mistake.typed for mistake in self.mistakes) else "configuration"
 
     @classmethod
     def of(cls, path: str, problem: str) -> Self:
@@ -93,6 +96,13 @@ class ConfigError(AbsError):
     def __reduce__(self) -> tuple[type[ConfigError], tuple[tuple[ConfigIssue, ...]]]:
         """Rebuild an error of another process from its mistakes, not from its text."""
         return type(self), (self.mistakes,)
+
+
+class ArgumentError(ConfigError):
+    """Wrong arguments of a function of the Python interface; each of the `mistakes` names its parameter."""
+
+    def _place(self) -> str:
+        return "call"
 
 
 class BoardError(AbsError):

@@ -4,7 +4,7 @@ from inteco_abs.analysis.baseline import previous_card
 from inteco_abs.analysis.catalogue import COLUMNS, session_files, session_row, session_rows, sort_rows
 from inteco_abs.analysis.closed_loop import Continuation, continued, distance
 from inteco_abs.analysis.dataset import write_dataset
-from inteco_abs.analysis.diff import SECTIONS, Change, Diff, SignalChange, diff_sessions, settings_of
+from inteco_abs.analysis.diff import SECTIONS, Change, Diff, SignalChange, diff_sessions, require_sections, settings_of
 from inteco_abs.analysis.gains import changed_gains, gain_changes, listed_changes, recorded_gains, times_of_changes_ns
 from inteco_abs.analysis.golden import Golden, GoldenFolder, GoldenResult
 from inteco_abs.analysis.open_loop import WhatIf, alternative, braking_start, since_braking_s, what_if
@@ -15,6 +15,7 @@ from inteco_abs.analysis.replay import (
     before_the_gap,
     decisions,
     recorded_arithmetic,
+    replay_recorded,
     replay_session,
     require_known,
 )
@@ -55,8 +56,10 @@ __all__ = [
     "publish",
     "recorded_arithmetic",
     "recorded_gains",
+    "replay_recorded",
     "replay_session",
     "require_known",
+    "require_sections",
     "session_files",
     "session_row",
     "session_rows",

@@ -8,12 +8,14 @@ import math
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from html import escape
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from inteco_abs.analysis.gains import listed_changes, recorded_gains
+from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 from inteco_abs.format import DOUBLE, INTERNALS, TICK, TRUTH, Column, Role
 from inteco_abs.sessions import CONFIG_NAME, Session, card_of, internals_of, joined_rows
 from inteco_abs.signals import Phase
@@ -50,7 +52,7 @@ class SignalChange(NamedTuple):
     """Number of ticks compared."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Diff:
     """Changes by requested section, in the order of `SECTIONS`."""
 
@@ -60,6 +62,42 @@ class Diff:
     def equal(self) -> bool:
         """Whether nothing differs in the requested sections."""
         return not any(self.changes.values())
+
+    def lines(self, a: str, b: str) -> Iterator[str]:
+        """The changes in words; `a` and `b` are the sessions' names."""
+        if self.equal:
+            yield f"{a} and {b} do not differ in {', '.join(self.changes)}"
+        for name, changes in self.changes.items():
+            if changes:
+                yield name
+            yield from (f"  {_in_words(change)}" for change in changes)
+
+    def __repr__(self) -> str:
+        found = ", ".join(f"{len(changes)} in {name}" for name, changes in self.changes.items() if changes)
+        return f"<Diff: {found or 'equal'}>"
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{escape(chr(10).join(self.lines('the first', 'the second')))}</pre>"
+
+
+def _in_words(change: Change | SignalChange) -> str:
+    if not isinstance(change, SignalChange):
+        return f"{change.key}: {_value(change.a)} -> {_value(change.b)}"
+    unit = "" if change.unit == "1" else f" {change.unit}"
+    line = f"{change.key}: up to {change.max_difference:.4g}{unit} at {change.at_s:.3f} s, "
+    line += f"RMS {change.rms_difference:.4g}{unit} over {change.ticks} ticks"
+    return f"{line}; {change.one_sided} ticks have a number in one session only" if change.one_sided else line
+
+
+def _value(value: Any) -> str:
+    return "-" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def require_sections(names: Iterable[str]) -> None:
+    """Raise ConfigError for a name that is not one of `SECTIONS`."""
+    unknown = [name for name in names if name not in SECTIONS]
+    if mistakes := [ConfigIssue("--only", f"no section {name!r}{near_match(name, SECTIONS)}") for name in unknown]:
+        raise ConfigError(mistakes)
 
 
 def diff_sessions(a: Session, b: Session, sections: tuple[str, ...] = (), rel: float = 0.0) -> Diff:

@@ -5,19 +5,20 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from html import escape
 from typing import Any, Final
 
 import numpy as np
 
 from inteco_abs import elementary
 from inteco_abs.analysis.compiling import compiled_loops, recorded_with
-from inteco_abs.analysis.gains import gain_changes, steps
+from inteco_abs.analysis.gains import changed_gains, gain_changes, steps
 from inteco_abs.analysis.tolerance import DISCRETE, OUTPUTS, Array, Shift, Tolerance, bits, shifts
-from inteco_abs.control import Pipeline
-from inteco_abs.errors import SessionError
+from inteco_abs.control import REFERENCE, Controller, Pipeline, build_pipeline, control_check, gains_in_force
+from inteco_abs.errors import SessionError, describe_error
 from inteco_abs.format import TICK, Role
-from inteco_abs.sessions import RECOVERED, Session, other_arithmetic
+from inteco_abs.sessions import RECOVERED, Session, describe_other_arithmetic, other_arithmetic, session_config
 from inteco_abs.signals import BoardFlags, Phase, Reason, Sample
 
 _INPUTS: Final = tuple(column.name for column in TICK.columns if column.role is Role.INPUT)
@@ -43,7 +44,7 @@ class FirstDifference:
     replayed_hex: str
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Replay:
     """Result of a replay; differences within the tolerances do not count as such."""
 
@@ -62,6 +63,54 @@ class Replay:
     """Changes of phases, flags and reasons that come early, late, or not at all."""
     arithmetic: dict[str, dict[str, str]] = field(default_factory=dict)
     """Where ticks differ, how this computer's arithmetic does: `recorded` and `here`, as `other_arithmetic`."""
+    left_out: int = 0
+    """Number of ticks after a gap, which cannot be replayed."""
+    gains: dict[str, dict[str, str | None]] = field(default_factory=dict)
+    """Gains that are others than in the run, by name: `recorded`, `configured`, and `where` it is recorded."""
+    error: str = ""
+    """What the controller or estimator raised, if ticks differ."""
+
+    @property
+    def agrees(self) -> bool:
+        """Whether every tick and gain does."""
+        return not (self.differing or self.gains)
+
+    def lines(self, name: str) -> Iterator[str]:
+        """The result in words; `name` is the session's."""
+        for gain, change in self.gains.items():
+            was, now = (change[when] or "not there" for when in ("recorded", "configured"))
+            yield f"{name}: the gain {gain} was {was} in the run ({change['where']}) and is {now} now"
+        within = f", {max(self.tolerated.values())} within their tolerance" if self.tolerated else ""
+        if self.first is None:
+            yield f"{name}: {self.ticks} ticks ({self.braking_ticks} braking) replayed, none differ{within}"
+        else:
+            first = self.first
+            yield f"{name}: {self.differing} of {self.ticks} ticks differ, first at tick {first.tick}: {first.field}"
+            yield f"  logged   {first.logged}  {first.logged_hex}"
+            yield f"  replayed {first.replayed}  {first.replayed_hex}"
+            yield f"  before it {self.agreeing_ticks} ticks agree, {self.agreeing_s:.4f} s"
+            yield from (f"  {field}: {count} ticks" for field, count in self.by_field.items())
+        yield from (f"  {_shift_in_words(shift)}" for shift in self.shifts)
+        if self.arithmetic:
+            yield f"  {describe_other_arithmetic(self.arithmetic)}"
+
+    def __repr__(self) -> str:
+        return f"<Replay: {self.ticks} ticks, {self.differing} differing>"
+
+    def _repr_html_(self) -> str:
+        more = [f"failed: {self.error}"] if self.error else []
+        more += [f"{self.left_out} ticks after a gap cannot be replayed"] if self.left_out else []
+        return f"<pre>{escape(chr(10).join([*self.lines('replay'), *more]))}</pre>"
+
+
+def _shift_in_words(shift: Shift) -> str:
+    change = f"{shift.field} becomes {shift.value}"
+    if shift.late_ticks is None:
+        where = ("in the log", shift.logged_tick) if shift.replayed_tick is None else ("replayed", shift.replayed_tick)
+        return f"{change} only {where[0]}, at tick {where[1]}"
+    ticks = abs(shift.late_ticks)
+    count = f"{ticks} tick{'s' if ticks > 1 else ''}"
+    return f"{change} {count} {'late' if shift.late_ticks > 0 else 'early'}, at tick {shift.replayed_tick}"
 
 
 def before_the_gap(session: Session) -> Session:
@@ -98,6 +147,26 @@ def recorded_arithmetic(session: Session) -> Iterator[None]:
         raise SessionError(f"{session.path}: software.arithmetic is {name!r}: must be one of {known}")
     with _ONE_ARITHMETIC, elementary.arithmetic(name):
         yield
+
+
+def replay_recorded(
+    recorded: Session,
+    controllers: Mapping[str, type[Controller]],
+    tolerances: Mapping[str, Tolerance] | None = None,
+) -> Replay:
+    """Replay a session with the configuration that it keeps, up to its first gap.
+
+    Raises SessionError if it cannot be replayed, ConfigError if its controller is not among `controllers`.
+    """
+    require_known(recorded)
+    session = before_the_gap(recorded)
+    config = session_config(session, (control_check(controllers),))
+    gains = changed_gains(session, {REFERENCE: config.controller.reference_slip, **gains_in_force(config, controllers)})
+    with recorded_arithmetic(session):
+        pipeline = build_pipeline(config, controllers)
+        found = replay_session(session, pipeline, tolerances)
+    error = describe_error(pipeline.error) if found.differing and pipeline.error is not None else ""
+    return replace(found, left_out=recorded.tick_count - session.tick_count, gains=gains, error=error)
 
 
 def replay_session(

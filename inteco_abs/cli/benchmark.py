@@ -15,7 +15,7 @@ import click
 
 from inteco_abs.cli.completion import controller_names
 from inteco_abs.cli.options import DIFFERS, FILE, Whole, json_option
-from inteco_abs.cli.sweep import brake_missing, user_controllers
+from inteco_abs.cli.sweep import brake_missing
 from inteco_abs.cli.terminal import print_json, say, show
 from inteco_abs.errors import AbsError, ConfigError, describe_disk, near_match
 
@@ -75,6 +75,7 @@ def benchmark(
     began. DIR gets the stops, the results as JSON with bootstrap intervals, a table, figures, the laws with their
     gains, and all this as a page.
     """
+    from inteco_abs.api.controllers import user_controllers
     from inteco_abs.benchmark import ranges, read_laws, shipped_laws
     from inteco_abs.montecarlo import SweepFolder, SweepPlan
     from inteco_abs.views.figure import require_matplotlib

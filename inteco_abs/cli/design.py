@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
 
 import click
 
@@ -20,16 +18,6 @@ from inteco_abs.cli.options import (
     write_csv,
 )
 from inteco_abs.cli.terminal import print_json, show
-from inteco_abs.errors import ConfigError, ConfigIssue
-
-if TYPE_CHECKING:
-    from inteco_abs.config import RigConfig
-    from inteco_abs.gain_design import Brake
-
-_SLOWEST_RAD_S: Final = 10.0
-_FASTEST_RAD_S: Final = 245.0
-_LEAST_SLIP: Final = 0.01
-"""Below, the model's adhesion is near zero or negative."""
 
 
 @click.command()
@@ -94,82 +82,27 @@ def design(
     bears; an identified fade makes the brake weaker. Ends with 0 if the gains hold for the whole set of rigs, with 3 if
     there is advice.
     """
+    from inteco_abs.api.design import assessed
     from inteco_abs.boards import kind_check
     from inteco_abs.config import load_config
     from inteco_abs.control import control_check, preferred_estimator
-    from inteco_abs.gain_design import HARD, faded_share, judge_gains, stated_box
-    from inteco_abs.gain_design.figure import draw_design
-    from inteco_abs.rig import nominal_parameters
-    from inteco_abs.views.figure import check_figure
+    from inteco_abs.views.figure import check_figure, save_figure
 
     known = known_controllers(options.controller)
     settings = (*options.settings, *options.chosen)
     rig = load_config(options.config, settings, [kind_check, control_check(known)], follows=preferred_estimator(known))
-    speeds = speeds or (_SLOWEST_RAD_S, max(rig.experiment.start_speed_rad_s, _SLOWEST_RAD_S + 1.0))
-    slips = [0.0] if from_slip is None else [0.0, from_slip]
-    if rig.controller.constant_slip is None:
-        problem = "a design judges one slip: leave it out, and give controller.reference_slip"
-        raise ConfigError.of(f"controller.{rig.controller.reference_key}", problem)
-    _require_ranges(speeds, slip_band, slips, rig.controller.reference_slip)
-    brake = _brake(rig, lag, dead_time)
     check_table(table)
     if figure is not None:
         check_figure(figure)
-    box = stated_box(uncertain or HARD, nominal_parameters(rig.model))
-    if share := faded_share(rig):
-        box = box.faded(share)
-    report = judge_gains(rig, box, speeds, slip_band, slips, brake).report()
+    found = assessed(rig, uncertain, speeds, slip_band, from_slip, lag, dead_time)
+    report = found.report()
     if table is not None:
         curves = report["curves"]
         write_csv([dict(zip(curves, row, strict=True)) for row in zip(*curves.values(), strict=True)], table)
     if figure is not None:
-        draw_design(report, figure)
+        save_figure(found.plot(), figure)
     if as_json:
         print_json(report)
     else:
-        from inteco_abs.gain_design.table import render_design
-
-        show(render_design(report))
-    return LOSSES if report["advice"] else 0
-
-
-def _brake(rig: RigConfig, lag: tuple[float, float] | None, dead_time: float | None) -> Brake | None:
-    """The brake that is stated, else the identified one."""
-    from inteco_abs.gain_design import Brake, identified_brake
-
-    if lag is not None and lag[0] > lag[1]:
-        raise ConfigError.of("--lag", f"{lag[0]:g} {lag[1]:g}: must not fall; write --lag {lag[1]:g} {lag[0]:g}")
-    found = identified_brake(rig) if lag is None else Brake(*lag, 0.0)
-    if dead_time is None:
-        return found
-    if found is None:
-        problem = "needs --lag LOW HIGH, or an identified lag; --lag 0 0 is a brake without lag"
-        raise ConfigError.of("--dead-time", problem)
-    return found._replace(dead_time_s=dead_time)
-
-
-def _require_ranges(
-    speeds: tuple[float, float], slip_band: tuple[float, float] | None, from_slips: Sequence[float], reference: float
-) -> None:
-    mistakes = [*_range_issues("--speeds", speeds, 0.1, _FASTEST_RAD_S, "rad/s")]
-    if slip_band is not None:
-        mistakes += _range_issues("--slip-band", slip_band, _LEAST_SLIP, 1.0, "of slip")
-    mistakes += [
-        ConfigIssue("--from-slip", f"{slip:g}: must be in 0..1") for slip in from_slips if not 0.0 <= slip <= 1.0
-    ]
-    if reference < _LEAST_SLIP:
-        problem = (
-            f"{reference:g}: must be at least {_LEAST_SLIP:g} for a design; below, the model has almost no adhesion"
-        )
-        mistakes.append(ConfigIssue("controller.reference_slip", problem))
-    if mistakes:
-        raise ConfigError(mistakes)
-
-
-def _range_issues(option: str, stated: tuple[float, float], least: float, most: float, unit: str) -> list[ConfigIssue]:
-    low, high = stated
-    if not (least <= low <= most and least <= high <= most):
-        return [ConfigIssue(option, f"{low:g} {high:g}: must both be in {least:g}..{most:g} {unit}")]
-    if not low < high:
-        return [ConfigIssue(option, f"{low:g} {high:g}: must rise; write {option} {high:g} {low:g}")]
-    return []
+        show(found)
+    return LOSSES if found.advice else 0

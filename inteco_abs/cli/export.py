@@ -10,7 +10,6 @@ import click
 from inteco_abs.cli.options import FILE, LOSSES, SESSION, json_option
 from inteco_abs.cli.session_files import report_losses
 from inteco_abs.cli.terminal import print_json, say
-from inteco_abs.errors import ConfigError
 
 _FORMATS: Final = ("csv", "npz", "mat", "parquet")
 
@@ -32,9 +31,9 @@ def export(file: Path, form: str | None, out: Path | None, as_json: bool) -> int
     ticks, and the others lie beside it. The unit and meaning of every column are in the file, or for CSV in a second
     file, as stop.columns.csv beside stop.csv.
     """
-    from inteco_abs.sessions import export_session
+    from inteco_abs.sessions import export_session, export_target
 
-    made = export_session(file, *_form_and_out(file, form, out))
+    made = export_session(file, *export_target(file, form, out))
     incomplete, beyond = made.session.incomplete, made.session.unsupported
     if as_json:
         files = [{"path": str(written.path), "tables": written.tables, "rows": written.rows} for written in made.files]
@@ -45,18 +44,3 @@ def export(file: Path, form: str | None, out: Path | None, as_json: bool) -> int
             say(f"{written.path}: {', '.join(written.tables)}, {written.rows} rows")
     report_losses(made.session)
     return LOSSES if incomplete or beyond else 0
-
-
-def _form_and_out(file: Path, form: str | None, out: Path | None) -> tuple[str, Path]:
-    """Each follows from the other, and they must agree: programs open a file by its suffix."""
-    from inteco_abs.sessions import is_local
-
-    if out is None:
-        if form is None:
-            raise ConfigError.of("--format", f"missing: name {', '.join(_FORMATS)}, or an --out that ends so")
-        return form, (file if is_local(file) else Path(file.name)).with_suffix(f".{form}")
-    ending = out.suffix.removeprefix(".")
-    wanted = _FORMATS if form is None else (form,)
-    if ending not in wanted:
-        raise ConfigError.of("--out", f"{out}: must end in .{', .'.join(wanted)}")
-    return ending, out

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -14,11 +13,11 @@ from inteco_abs.cli.dry_run import Planned, check_start, dry_run_option, refuse_
 from inteco_abs.cli.options import FILE, LOSSES, Finite, RunOptions, json_option, require_different, run_options
 from inteco_abs.cli.session_files import read_whole
 from inteco_abs.cli.terminal import fit_progress, print_json, say, show
-from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, describe_disk
+from inteco_abs.errors import ConfigError, ConfigIssue
 
 if TYPE_CHECKING:
     from inteco_abs.config import RigConfig
-    from inteco_abs.identification import Identification, Segment
+    from inteco_abs.identification import Identification
 
 
 _MOST_NAMED: Final = 12
@@ -90,7 +89,9 @@ def identify(
     rig = load_config(options.config, options.settings, [kind_check, control_check()])
     require_different({"--out": out, "--figure": figure})
     if out is not None:
-        _check_out(out)
+        from inteco_abs.identification import check_parameter_file
+
+        check_parameter_file(out)
     if figure is not None:
         check_figure(figure)
     found = _identified(rig, files, assumed)
@@ -102,15 +103,14 @@ def _report(found: Identification, out: Path | None, figure: Path | None, *, as_
     if as_json:
         print_json(found.report())
     else:
-        from inteco_abs.identification.table import render_identification
-
-        show(render_identification(found.report()))
+        show(found)
     if out is not None:
-        _write(found, out)
+        found.save(out)
+        say(f"parameters: {out}; use them with --config {out}", err=True)
     if figure is not None:
-        from inteco_abs.identification.figure import draw_residuals
+        from inteco_abs.views.figure import save_figure
 
-        draw_residuals(found.traces(), figure)
+        save_figure(found.plot(), figure)
         say(f"figure: {figure}", err=True)
     missing: dict[str, list[str]] = {}
     for each in found.missing:
@@ -123,22 +123,12 @@ def _report(found: Identification, out: Path | None, figure: Path | None, *, as_
 
 
 def _identified(rig: RigConfig, files: tuple[Path, ...], assumed: dict[str, float]) -> Identification:
-    from inteco_abs.identification import chosen, identify, segments
-    from inteco_abs.rig import nominal_parameters
-    from inteco_abs.sessions import read_session, session_config
+    from inteco_abs.api.identify import identified
+    from inteco_abs.sessions import read_session
 
-    def found() -> Iterator[Segment]:
-        for file in files:
-            session = read_whole(file, read_session)
-            yield from segments(session, session_config(session, ()).encoders.counts_per_turn)
-
-    parts = chosen(found())
-    if not parts:
-        problem = "no session has a run-up or a braking phase of the open-loop controller; --plan records some"
-        raise ConfigError.of("SESSION", problem)
-    say(f"fitting {len(parts)} phases of {len(files)} sessions", err=True)
+    sessions = (read_whole(file, read_session) for file in files)  # one at a time in memory
     with fit_progress() as progress:
-        return identify(parts, nominal_parameters(rig.model), assumed, progress)
+        return identified(rig, sessions, assumed, progress, partial(say, err=True))
 
 
 def _assumed(statements: tuple[str, ...]) -> dict[str, float]:
@@ -162,22 +152,6 @@ def _assumed(statements: tuple[str, ...]) -> dict[str, float]:
     return shares
 
 
-def _check_out(path: Path) -> None:
-    from inteco_abs.sessions import check_output
-
-    if path.suffix != ".toml":
-        raise ConfigError.of("--out", f"{path}: must end in .toml")
-    check_output(path)
-
-
-def _write(found: Identification, out: Path) -> None:
-    try:
-        out.write_text(found.to_toml(), encoding="utf-8")
-    except OSError as error:
-        raise AbsError(f"{out}: the parameters cannot be written: {describe_disk(error)}") from error
-    say(f"parameters: {out}; use them with --config {out}", err=True)
-
-
 def _record(
     options: RunOptions,
     files: tuple[Path, ...],
@@ -189,24 +163,18 @@ def _record(
     as_json: bool,
 ) -> int:
     """Record the plan's runs until one does not complete; return the exit code of the last one."""
+    from inteco_abs.api.identify import next_planned_runs, planned_run
     from inteco_abs.control import control_check
-    from inteco_abs.experiment import Plan
-    from inteco_abs.identification import experiments, next_runs
     from inteco_abs.sessions import check_folder, check_output, ensured_directory
 
     folder = out or Path("identification")
-
-    def planned_run(number: int, settings: Sequence[str], name: str, shows: str) -> Planned:
-        config = options.load(*settings, checks=[control_check()])
-        plan = Plan(out=folder / f"{name}.mcap", board=options.board, virtual=options.virtual, seed=number)
-        return Planned(config, plan, shows=shows)
-
+    planned_here = partial(planned_run, folder=folder, board=options.board, virtual=options.virtual)
     try:
         rig = options.load(checks=[control_check()])
-        limit, start_speed = rig.guard.brake_limit, rig.experiment.start_speed_rad_s
-        runs = next_runs(_identified(rig, files, assumed), limit, start_speed) if files else experiments(limit)
+        runs = next_planned_runs(rig, _identified(rig, files, assumed) if files else None)
         planned = [
-            planned_run(number, each.settings, each.name, each.shows) for number, each in enumerate(runs, len(files))
+            Planned(*planned_here(each, options.load, seed=number), shows=each.shows)
+            for number, each in enumerate(runs, len(files))
         ]
     except ConfigError as error:
         if dry_run:

@@ -10,7 +10,7 @@ from typing import TextIO
 
 import click
 
-from inteco_abs.cli.options import FILE, Finite, Whole, rig_settings, shared_option
+from inteco_abs.cli.options import FILE, Finite, Whole, shared_option
 from inteco_abs.cli.terminal import say
 from inteco_abs.errors import ConfigError, describe_disk
 
@@ -68,11 +68,13 @@ def mock_board(
     """
     from functools import partial
 
+    from inteco_abs.api.configuration import setting_lines
     from inteco_abs.boards import family_of, kind_check
     from inteco_abs.commissioning.board_from_report import ReportedBoard
     from inteco_abs.config import load_config
     from inteco_abs.mock_board import rig_check
     from inteco_abs.mock_board_process import Mock, serve_pty, serve_usbip
+    from inteco_abs.population_file import rig_settings
 
     if (address is None) == (link is None):
         raise ConfigError.of("--usbip, --pty", "name one of them: a USB device or a serial port")
@@ -80,7 +82,7 @@ def mock_board(
     if seen is not None and kind not in {None, seen.report.kind}:
         raise ConfigError.of("--board", f"{kind}: the report is of a {seen.report.kind} board; omit --board")
     kind = _pluggable(seen.report.kind if seen is not None else kind, at_pty=link is not None)
-    settings = [*(seen.settings if seen is not None else ()), *rig_settings(rig)]
+    settings = [*(seen.settings if seen is not None else ()), *setting_lines(rig_settings(rig, "--rig"))]
     configured = load_config(config, settings, [kind_check, rig_check], family_of(kind).mock_profile)
     if configured.board.kind != kind:
         raise ConfigError.of(

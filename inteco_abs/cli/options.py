@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import wraps
@@ -190,19 +189,16 @@ class RunOptions:
         )
 
     def load(
-        self, *more: str, checks: Sequence[Check] = (), follows: Callable[[Table], Table] | None = None
+        self,
+        more: Sequence[str] = (),
+        *,
+        checks: Sequence[Check] = (),
+        follows: Callable[[Table], Table] | None = None,
     ) -> RigConfig:
         """Configuration for this board, with `more` settings over the typed ones. Raises ConfigError."""
-        from inteco_abs.boards import check_address, default_profile, kind_check, simulated
-        from inteco_abs.config import load_config
-        from inteco_abs.mock_board import rig_check
+        from inteco_abs.api.configuration import run_config
 
-        check_address(self.board)
-        if self.rig is not None and not simulated(self.board):
-            problem = f"{self.board}: a real board has its own rig; use --rig with --board sim: only"
-            raise ConfigError.of("--rig", problem)
-        settings, checks = (*self.settings, *rig_settings(self.rig), *more), (*checks, kind_check, rig_check)
-        return load_config(self.config, settings, checks, default_profile(self.board), follows)
+        return run_config(self.board, self.config, self.settings, self.rig, checks, follows, more)
 
     def plan(self, out: Path, *, wire: Path | None = None, frames: bool = False) -> tuple[RigConfig, Plan]:
         """Configuration and plan of a stop recorded at `out`; nothing is opened or created. Raises ConfigError."""
@@ -214,7 +210,7 @@ class RunOptions:
         if self.tune:
             require_keyboard(self.live, virtual=self.virtual, quiet=self.quiet)
         controllers = known_controllers(self.controller)
-        config = self.load(*self.chosen, checks=[control_check(controllers)], follows=preferred_estimator(controllers))
+        config = self.load(self.chosen, checks=[control_check(controllers)], follows=preferred_estimator(controllers))
         source, package = controllers.origin(config.controller.name)
         plan = Plan(
             out=out,
@@ -298,13 +294,6 @@ def json_option(function: Callable[..., Any]) -> Callable[..., Any]:
     return click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")(function)
 
 
-def rig_settings(sampled: str | None) -> list[str]:
-    """`--rig` as settings. Raises ConfigError for a file of a population that cannot be used."""
-    from inteco_abs.population_file import rig_settings as settings_of
-
-    return [f"{key}={json.dumps(value)}" for key, value in settings_of(sampled, "--rig").items()]
-
-
 def write_csv(records: Iterable[Mapping[str, Any]], path: Path, columns: Sequence[str] = ()) -> None:
     """Write one line per record; a value that a record does not have, or None, is empty. Raises AbsError.
 
@@ -349,18 +338,7 @@ def require_different(files: dict[str, Path | None]) -> None:
 
 
 def known_controllers(name: str | None) -> Controllers:
-    """Known controllers, with the user's own if `name` is `file.py:Class`. Raises ConfigError."""
-    from inteco_abs.plugins import FROM_FILE, Controllers, Origin, load_controller
+    """As `api.controllers` has them, imported when a verb asks."""
+    from inteco_abs.api import controllers
 
-    if name is None or FROM_FILE not in name:
-        controllers = Controllers()
-        if name is not None and name not in controllers:
-            file = name if name.endswith(".py") else f"{name}.py"
-            if name == file or os.path.isfile(file):  # noqa: PTH113  a name too long for a file is not an error here
-                raise ConfigError.of("--controller", f"{name}: name the class too, as in {file}:Class")
-        return controllers
-    from inteco_abs.experiment import time_limit
-
-    with time_limit():
-        kind, source = load_controller(name)
-    return Controllers({name: (kind, Origin(source))})
+    return controllers.known_controllers(name)

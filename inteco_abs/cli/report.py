@@ -24,9 +24,9 @@ def report(files: tuple[Path, ...], out: Path | None) -> int:
     print.
     """
     from inteco_abs.sessions import read_session
-    from inteco_abs.views.report import check_report, write_report
+    from inteco_abs.views.report import check_report, report_path, write_report
 
-    page = out or (files[0].with_suffix(".html") if len(files) == 1 else Path("comparison.html"))
+    page = out or report_path(files)
     check_report(page)
     sessions = [read_whole(file, read_session) for file in files]
     write_report(sessions, page)

@@ -21,7 +21,6 @@ from inteco_abs.cli.options import (
     Whole,
     check_table,
     json_option,
-    known_controllers,
     require_different,
     shared_option,
     write_csv,
@@ -30,16 +29,10 @@ from inteco_abs.cli.terminal import print_json, say, show, stops_progress
 from inteco_abs.errors import ConfigError, ConfigIssue
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from concurrent.futures import Executor
+    from collections.abc import Iterator
 
-    from inteco_abs.montecarlo import Braked, Combination, SampleSet, SweepFolder, SweepPlan, SweepRow
-    from inteco_abs.plugins import Controllers
+    from inteco_abs.montecarlo import Braked, SweepFolder, SweepRow
 
-_FEWEST_STOPS: Final = 5
-"""For a process of its own."""
-_AHEAD: Final = 4
-"""Units for each worker, so that none waits for the next."""
 _NARROWEST: Final = 80
 """Columns of the table: a narrower terminal wraps lines; cutting them would lose names and digits."""
 _MOST_SEEDS: Final = 20
@@ -144,6 +137,7 @@ def sweep(
     A sweep that is stored survives: what was braked stays when a process is killed or you press Ctrl-C, and several
     computers that share a disk can work in one folder.
     """
+    from inteco_abs.api.sweep import drawn, planned_sweep
     from inteco_abs.montecarlo import SweepFolder
     from inteco_abs.views.figure import check_figure
 
@@ -160,8 +154,8 @@ def sweep(
         return code
     if shown is not None:
         return _report(SweepFolder.open(shown, "--show"), table, figure, as_json=as_json)
-    draws = _draws(rigs, factors=factors)
-    plan = _plan(draws, (controller, estimator, settings), config, run_up=not no_run_up)
+    draws = drawn(rigs, factors=factors)
+    plan = planned_sweep(draws, controller, estimator, settings, config, run_up=not no_run_up)
     if prepare and store is not None:
         made = SweepFolder.make(store, plan)
         say(f"sweep {made.plan.name[:12]}: {plan.count} stops to brake: inteco-abs sweep --work {store}", err=True)
@@ -196,70 +190,21 @@ def _require_consistent(ctx: click.Context) -> None:
         raise ConfigError(mistakes)
 
 
-def _draws(rigs: Sequence[str], *, factors: bool) -> list[SampleSet]:
-    """The ranges of draws that the command line names. Raises ConfigError."""
-    from inteco_abs.montecarlo import one_at_a_time, parse_draws
-
-    draws = [parse_draws(text) for text in dict.fromkeys(rigs)]
-    # the names are in those of files, and some disks take Lab for lab
-    if len({(one.population, one.text) for one in draws}) > len({one.population.casefold() for one in draws}):
-        raise ConfigError.of("--rigs", "two different populations have the same name; rename one of the files")
-    return [each for one in draws for each in one_at_a_time(one)] if factors else draws
-
-
-def _plan(
-    draws: Sequence[SampleSet],
-    chosen: tuple[Sequence[str], Sequence[str], Sequence[str]],
-    config: Path | None,
-    *,
-    run_up: bool,
-) -> SweepPlan:
-    """The sweep that the command line names; `chosen` are controllers, estimators and settings. Raises ConfigError."""
-    from inteco_abs.montecarlo import SweepPlan, combinations
-
-    controller, estimator, settings = chosen
-    with redirect_stdout(sys.stderr):  # a controller's prints must not mix with the result
-        controllers, sources = user_controllers(controller)
-    names = [f"controller.name={name}" for name in controller] + [f"estimator.name={name}" for name in estimator]
-    grid = combinations([*settings, *names], controllers, config)
-    _require_no_rig(grid, draws)
-    return SweepPlan(grid, draws, _with_files(sources, grid, controllers), run_up)
-
-
-def _with_files(
-    sources: Mapping[str, bytes], grid: Sequence[Combination], controllers: Controllers
-) -> dict[str, bytes]:
-    """The sources with the files that the controllers read when they are made. Raises ConfigError if one cannot be."""
-    from inteco_abs.control import make_controller
-    from inteco_abs.experiment import time_limit
-    from inteco_abs.plugins import with_files
-
-    with redirect_stdout(sys.stderr), time_limit():
-        for one in grid:
-            if one.config.controller.name in sources:
-                make_controller(one.config, controllers)
-    return {name: with_files(name, source) for name, source in sources.items()}
-
-
 def brake_missing(
     folder: SweepFolder, jobs: int | None, executor: str | None, part: tuple[int, int] = (1, 1), *, kept: bool = True
 ) -> int:
     """Brake what is missing; the exit code."""
-    from inteco_abs.montecarlo import InThisProcess, LocalProcesses, cores, count_workers, named_executor, work
+    from inteco_abs.api.sweep import executor_of
+    from inteco_abs.montecarlo import work
 
     plan = folder.plan
     end = "Ctrl-C keeps what is done, and the same command continues" if kept else "Ctrl-C ends without a result"
     say(f"combinations: {len(plan.grid)}, stops to brake: {plan.count}; {end}", err=True)
     began = time.monotonic()
     with redirect_stdout(sys.stderr):
-        if executor is not None:
-            where: Executor = named_executor(executor)
-            jobs = jobs or count_workers(where)
-        else:
-            jobs = min(jobs or cores(), -(-plan.count // _FEWEST_STOPS))
-            where = LocalProcesses(jobs) if jobs > 1 else InThisProcess()
+        where, ahead, jobs = executor_of(plan, jobs, executor)
         with _ended_by_sigterm(), where, stops_progress() as progress:
-            braked = work(folder, where, _AHEAD * jobs if jobs > 1 else 1, part, progress)
+            braked = work(folder, where, ahead, part, progress)
     _say_braked(braked, jobs, time.monotonic() - began)
     return LOSSES if braked.failed else 0
 
@@ -296,8 +241,10 @@ def _say_braked(braked: Braked, jobs: int, elapsed_s: float) -> None:
 
 def _report(folder: SweepFolder, table: Path | None, figure: Path | None, *, as_json: bool) -> int:
     """Print and write the result, as far as there is one; the exit code."""
-    found = folder.rows()
-    rows = [row for row in found if row.stops]
+    from inteco_abs.api.sweep import Sweep
+
+    result, found = Sweep(folder), folder.rows()
+    rows = result.rows
     done = sum(row.stops + len(row.left_out) for row in found)
     if done < folder.plan.count:
         say(f"inteco-abs: {done} of {folder.plan.count} stops so far", err=True)
@@ -305,51 +252,18 @@ def _report(folder: SweepFolder, table: Path | None, figure: Path | None, *, as_
     _report_left_out(found)
     # before the files: one that cannot be written must not cost the result
     if as_json:
-        print_json({"schema_version": 1, "rows": [row.facts() for row in rows]})
+        print_json({"schema_version": 1, "rows": result.facts()})
     else:
-        from inteco_abs.montecarlo.table import render_sweep
-
-        show(render_sweep(rows), width=_NARROWEST)
+        show(result, width=_NARROWEST)
     if table is not None:
         columns = list(dict.fromkeys(name for row in rows for name in row.columns))
         write_csv((record for row in rows for record in row.records()), table, columns)
     if figure is not None:
-        from inteco_abs.montecarlo.table import draw_sweep
+        from inteco_abs.views.figure import save_figure
 
-        draw_sweep(rows, figure)
+        save_figure(result.plot(), figure)
         say(f"figure: {figure}", err=True)
     return _report_errors(rows)
-
-
-def user_controllers(names: Sequence[str]) -> tuple[Controllers, dict[str, bytes]]:
-    """All known controllers, and the sources of those from the user's files."""
-    from inteco_abs.montecarlo import split_list
-    from inteco_abs.plugins import FROM_FILE
-    from inteco_abs.plugins import Controllers as Known
-
-    own = {}
-    for name in (one.strip() for text in names for one in split_list(text)):
-        known = known_controllers(name)
-        if FROM_FILE in name:
-            own[name] = known[name], known.origin(name)
-    return Known(own), {name: origin.source for name, (_, origin) in own.items()}
-
-
-def _require_no_rig(grid: Sequence[Combination], draws: Sequence[SampleSet]) -> None:
-    """Raise ConfigError if the configuration describes a rig, as --rigs does."""
-    from inteco_abs.config import SimulationConfig
-
-    mistakes = []
-    if any(one.config.simulation != SimulationConfig() for one in grid):
-        mistakes.append(ConfigIssue("simulation", "a sweep brakes the rigs of --rigs; leave this section out"))
-    configured = {one.config.encoders.counts_per_turn for one in grid}
-    rigs = [rig for each in draws if (rig := each.first_rig)]  # all of a population have the same discs
-    drawn = {rig.road_encoder.counts_per_turn for rig in rigs}
-    if configured != drawn:
-        shown = ", ".join(map(str, sorted(configured - drawn)))
-        mistakes.append(ConfigIssue("encoders.counts_per_turn", f"{shown}: these rigs have {max(drawn)}; leave it out"))
-    if mistakes:
-        raise ConfigError(mistakes)
 
 
 def _report_given_up(folder: SweepFolder) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -22,14 +22,19 @@ from inteco_abs.gain_design.harmonic_balance import Balance, Brake, balances, cy
 from inteco_abs.gain_design.reaching import Reaching, reaching
 from inteco_abs.gain_design.uncertainty import Box
 from inteco_abs.quantities import finite
+from inteco_abs.views.shown import Shown
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.console import RenderableType
 
 _SLIPS: Final = 21
 """Number of slips in a band."""
 _FEWEST_SPEEDS: Final = 11
 
 
-@dataclass(frozen=True, slots=True)
-class Assessment:
+@dataclass(frozen=True, slots=True, repr=False)
+class Assessment(Shown):
     """Assessment of one set of gains on one box of rigs."""
 
     config: RigConfig
@@ -45,6 +50,22 @@ class Assessment:
     brake: Brake | None
     balances: Sequence[Balance]
     """The loop with that brake at several road speeds; none without a brake."""
+
+    def plot(self) -> Figure:
+        """Required gain, torque and uncertainty over the road speed. Raises AbsError without matplotlib."""
+        from inteco_abs.gain_design.figure import figure_of_design  # noqa: PLC0415  an extra
+
+        return figure_of_design(self.report())
+
+    def __rich__(self) -> RenderableType:
+        from inteco_abs.gain_design.table import render_design  # noqa: PLC0415  for a screen alone
+
+        return render_design(self.report())
+
+    def __repr__(self) -> str:
+        gains = ", ".join(f"{name}={value:g}" for name, value in gains_in_force(self.config).items())
+        state = f"{len(self.advice)} pieces of advice" if self.advice else "the gains hold for the whole set of rigs"
+        return f"<Assessment of {self.config.controller.name}, {gains}: {state}>"
 
     def report(self) -> dict[str, Any]:
         """Report for JSON; None for infinite values."""

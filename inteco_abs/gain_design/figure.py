@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from inteco_abs.views.figure import COLOURS, check_figure, new_figure, save_figure
+from inteco_abs.views.figure import COLOURS, new_figure, require_matplotlib
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _BLUE, _RED, _GREEN = COLOURS
 
 
-def draw_design(report: Mapping[str, Any], path: Path) -> None:
-    """Draw the report of an assessment to `path` (.png, .svg or .pdf), readable in grey, without infinite values.
-
-    Raises ConfigError for a wrong path, AbsError without matplotlib.
-    """
-    check_figure(path)
+def figure_of_design(report: Mapping[str, Any]) -> Figure:
+    """The report of an assessment, readable in grey, without infinite values. Raises AbsError without matplotlib."""
+    require_matplotlib()
     from matplotlib.ticker import LogLocator  # noqa: PLC0415  heavy, and an extra
 
     curves = {name: np.array(values, float) for name, values in report["curves"].items()}
@@ -45,7 +42,7 @@ def draw_design(report: Mapping[str, Any], path: Path) -> None:
     axes[2].set_xlabel("road speed [rad/s]")
     gains = ", ".join(f"{name} = {value:g}" for name, value in report["gains"].items())
     figure.suptitle(f"{report['controller']}, {gains}", fontsize="medium")
-    save_figure(figure, path)
+    return figure
 
 
 def _gain(panel: Axes, curves: Mapping[str, Any]) -> None:

@@ -3,7 +3,13 @@
 The module `parameters` explains what counts can identify.
 """
 
-from inteco_abs.identification.estimates import SLIPS, Identification, ParameterEstimate, identify
+from inteco_abs.identification.estimates import (
+    SLIPS,
+    Identification,
+    ParameterEstimate,
+    check_parameter_file,
+    identify,
+)
 from inteco_abs.identification.next_runs import next_runs
 from inteco_abs.identification.parameters import ASSUMED, torque_name
 from inteco_abs.identification.plan import PlannedRun, experiments
@@ -16,6 +22,7 @@ __all__ = [
     "ParameterEstimate",
     "PlannedRun",
     "Segment",
+    "check_parameter_file",
     "chosen",
     "experiments",
     "identify",

@@ -5,16 +5,24 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal, NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
 import tomli_w
 
+from inteco_abs.errors import AbsError, ConfigError, describe_disk
 from inteco_abs.identification.discs import HARMONICS, amplitude
 from inteco_abs.identification.fit import Fit, Progress, fit
 from inteco_abs.identification.parameters import ASSUMED, Priors, torque_name
 from inteco_abs.identification.segments import Segment, SegmentKind
 from inteco_abs.rig import DriveMotor, RigParameters, adhesion, measured_torque
+from inteco_abs.sessions import check_output
+from inteco_abs.views.shown import Shown
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.console import RenderableType
 
 SLIPS: Final = (0.02, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0)
 """Slips at which the friction curve is reported."""
@@ -74,6 +82,13 @@ class ParameterEstimate:
         return facts | {"published": None if math.isnan(self.published) else self.published}
 
 
+def check_parameter_file(path: Path) -> None:
+    """Check that parameters can be written to the new file `path`. Raises ConfigError or SessionError."""
+    if path.suffix != ".toml":
+        raise ConfigError.of("--out", f"{path}: must end in .toml")
+    check_output(path)
+
+
 class _Derived(NamedTuple):
     """A quantity that follows from the fit parameters."""
 
@@ -83,8 +98,8 @@ class _Derived(NamedTuple):
     published: float
 
 
-@dataclass(frozen=True, slots=True)
-class Identification:
+@dataclass(frozen=True, slots=True, repr=False)
+class Identification(Shown):
     """The identified parameters of a rig."""
 
     fit: Fit
@@ -95,6 +110,35 @@ class Identification:
     def missing(self) -> list[ParameterEstimate]:
         """Parameters that are not identified."""
         return [each for each in self.estimates if each.status == "not identified"]
+
+    def save(self, path: str | Path) -> Path:
+        """Write the parameters to the new file `path` (.toml), for `run --config` or connect(config=...).
+
+        Raises ConfigError, SessionError or AbsError.
+        """
+        out = Path(path)
+        check_parameter_file(out)
+        try:
+            out.write_text(self.to_toml(), encoding="utf-8")
+        except OSError as error:
+            raise AbsError(f"{out}: the parameters cannot be written: {describe_disk(error)}") from error
+        return out
+
+    def plot(self) -> Figure:
+        """Measured minus simulated counts, a panel for each segment. Raises AbsError without matplotlib."""
+        from inteco_abs.identification.figure import figure_of_residuals  # noqa: PLC0415  an extra
+
+        return figure_of_residuals(self.traces())
+
+    def __rich__(self) -> RenderableType:
+        from inteco_abs.identification.table import render_identification  # noqa: PLC0415  for a screen alone
+
+        return render_identification(self.report())
+
+    def __repr__(self) -> str:
+        found = sum(each.status == "identified" for each in self.estimates)
+        state = "" if self.fit.converged else ", did not converge: look at the residuals"
+        return f"<Identification: {found} of {len(self.estimates)} parameters from {len(self.segments)} phases{state}>"
 
     def report(self) -> dict[str, Any]:
         """Return all estimates for JSON and tables."""

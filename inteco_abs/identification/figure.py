@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from inteco_abs.views.figure import COLOURS, check_figure, new_figure, save_figure
+from inteco_abs.views.figure import COLOURS, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _COLUMNS: Final = 3
 _OF_WHEEL: Final = {"wheel": COLOURS[0], "road": COLOURS[1]}
 
 
-def draw_residuals(traces: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Draw measured minus simulated counts, a panel for each segment, to `path` (.png, .svg or .pdf).
-
-    Raises ConfigError for a wrong path, AbsError without matplotlib.
-    """
-    check_figure(path)
+def figure_of_residuals(traces: Sequence[Mapping[str, Any]]) -> Figure:
+    """Measured minus simulated counts, a panel for each segment. Raises AbsError without matplotlib."""
     segments = list(dict.fromkeys(trace["segment"] for trace in traces))
     rows = -(-len(segments) // _COLUMNS)
     figure = new_figure(3.4 * _COLUMNS, 2.1 * rows + 0.6)
@@ -34,4 +32,4 @@ def draw_residuals(traces: Sequence[Mapping[str, Any]], path: Path) -> None:
     figure.supylabel("measured - simulated [counts]", fontsize="medium")
     figure.supxlabel("time in the segment [s]", fontsize="medium")
     figure.legend(list(lines.values()), list(lines), loc="outside upper right", ncols=2, frameon=False)
-    save_figure(figure, path)
+    return figure

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -14,10 +13,11 @@ from rich.table import Table
 from rich.text import Text
 
 from inteco_abs.montecarlo import SweepRow
-from inteco_abs.views.figure import check_figure, save_figure
+from inteco_abs.views.figure import new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")  # Okabe and Ito
 _STYLES: Final = ("-", "--", ":", "-.")
@@ -121,22 +121,18 @@ def _number(value: float, form: str) -> str:
     return format(value, form) if math.isfinite(value) else "never"
 
 
-def draw_sweep(rows: Sequence[SweepRow], path: Path) -> None:
-    """Draw to `path` (.png, .svg or .pdf) which share of the stops has at most which slip RMS, a panel for each range.
+def figure_of_sweep(rows: Sequence[SweepRow]) -> Figure:
+    """Which share of the stops has at most which slip RMS, a panel for each range. Raises AbsError without matplotlib.
 
     A stop that ends within 0.25 s of its braking is beyond every RMS. Only the best MOST_LINES of a range are drawn.
     """
-    check_figure(path)
-    from matplotlib.figure import Figure  # noqa: PLC0415  heavy, and an extra
-
     ranges = _by_range(rows)
     if len(ranges) > _MOST_RANGES:
-        figure = Figure(figsize=(7.0, 1.5 + 0.18 * len(ranges)), layout="constrained")
+        figure = new_figure(7.0, 1.5 + 0.18 * len(ranges))
         _draw_ranges(figure.subplots(), rows)
-        save_figure(figure, path)
-        return
+        return figure
     names = list(dict.fromkeys(row.combination.name for row in rows))
-    figure = Figure(figsize=(7.0, 1.0 + 3.6 * len(ranges)), layout="constrained")
+    figure = new_figure(7.0, 1.0 + 3.6 * len(ranges))
     panels = figure.subplots(len(ranges), squeeze=False, sharex=True)[:, 0]
     for panel, (name, mine) in zip(panels, ranges, strict=True):
         for row in mine[:MOST_LINES]:
@@ -150,7 +146,7 @@ def draw_sweep(rows: Sequence[SweepRow], path: Path) -> None:
         panel.legend(loc="best", frameon=False, fontsize="x-small")
     panels[-1].set_xlim(left=0.0)
     panels[-1].set_xlabel("slip RMS from 0.25 s on, true [1]")
-    save_figure(figure, path)
+    return figure
 
 
 def _draw_ranges(panel: Axes, rows: Sequence[SweepRow]) -> None:

@@ -5,6 +5,7 @@ from typing import Final
 from inteco_abs.plugins.beside import late_files, with_files
 from inteco_abs.plugins.controllers import Controllers, Origin, installed_controllers
 from inteco_abs.plugins.file import FROM_FILE, differs, load_controller
+from inteco_abs.plugins.shape import require_controller
 
 __all__ = [
     "FROM_FILE",
@@ -15,6 +16,7 @@ __all__ = [
     "installed_controllers",
     "late_files",
     "load_controller",
+    "require_controller",
     "with_files",
 ]
 

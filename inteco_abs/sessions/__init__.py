@@ -28,7 +28,7 @@ from inteco_abs.sessions.content import (
 )
 from inteco_abs.sessions.copying import write_copy
 from inteco_abs.sessions.environment import Environment, current_environment
-from inteco_abs.sessions.export import FORMATS, Export, export_session, write_parquet
+from inteco_abs.sessions.export import FORMATS, Export, export_session, export_target, write_parquet
 from inteco_abs.sessions.failover_writer import FailoverWriter, Opener, check_spill, joined, spill_path
 from inteco_abs.sessions.file_writer import FileWriter
 from inteco_abs.sessions.files import (
@@ -116,6 +116,7 @@ __all__ = [
     "ensured_directory",
     "event_channel",
     "export_session",
+    "export_target",
     "extract",
     "gains_of",
     "host_facts",

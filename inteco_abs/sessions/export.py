@@ -17,8 +17,9 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib import format as npy
 
-from inteco_abs.errors import AbsError, SessionError, describe_disk
+from inteco_abs.errors import AbsError, ConfigError, SessionError, describe_disk, near_match
 from inteco_abs.sessions.files import atomic_write, check_output
+from inteco_abs.sessions.locations import is_local
 from inteco_abs.sessions.reader import Session, read_session
 from inteco_abs.sessions.tables import Table, tables
 
@@ -51,18 +52,33 @@ class _Format(NamedTuple):
     """Whether a file of metadata, units and meanings is written beside it, as its files cannot hold them."""
 
 
-def export_session(source: Path, form: str, out: Path) -> Export:
-    """Write the session at `source` to `out` in one of `FORMATS`; an hour needs little memory.
+def export_target(source: Path, form: str | None, out: Path | None) -> tuple[str, Path]:
+    """Format and file of an export: each follows from the other. Raises ConfigError if they do not agree."""
+    if form is not None and form not in FORMATS:
+        raise ConfigError.of("--format", f"no format {form!r}{near_match(form, FORMATS)}")
+    if out is None:
+        if form is None:
+            raise ConfigError.of("--format", f"missing: name {', '.join(FORMATS)}, or an --out that ends so")
+        return form, (source if is_local(source) else Path(source.name)).with_suffix(f".{form}")
+    ending = out.suffix.removeprefix(".")
+    wanted = tuple(FORMATS) if form is None else (form,)
+    if ending not in wanted:  # programs open a file by its suffix
+        raise ConfigError.of("--out", f"{out}: must end in .{', .'.join(wanted)}")
+    return ending, out
 
-    In a format with one table per file, `out` has the ticks; the other tables go to files beside it, such as
-    `stop.truth.csv`, and metadata that the format cannot hold to `stop.csv-metadata.json`. Raises ConfigError,
-    SessionError, or AbsError if the format's package is not installed.
+
+def export_session(source: Path | Session, form: str, out: Path) -> Export:
+    """Write a session, or the one at a path, to `out` in one of `FORMATS`.
+
+    An hour needs little memory. In a format with one table per file, `out` has the ticks; the other tables go to files
+    beside it, such as `stop.truth.csv`, and metadata that the format cannot hold to `stop.csv-metadata.json`. Raises
+    ConfigError, SessionError, or AbsError if the format's package is not installed.
     """
     chosen = FORMATS[form]
     if chosen.package and importlib.util.find_spec(chosen.package) is None:
         raise AbsError(f"--format {form} needs {chosen.package}: pip install 'inteco-abs[export]'")
     check_output(out)
-    session = read_session(source)
+    session = source if isinstance(source, Session) else read_session(source)
     found = tables(session)
     groups = [[table] for table in found] if chosen.one_table_a_file else [found]
     paths = [out, *(out.with_name(f"{out.stem}.{group[0].name}{out.suffix}") for group in groups[1:])]

@@ -97,11 +97,11 @@ def require_matplotlib() -> None:
 
 
 def new_figure(width_inch: float, height_inch: float) -> Figure:
-    """An empty matplotlib figure. Raises AbsError without matplotlib."""
+    """An empty matplotlib figure, which a notebook shows. Raises AbsError without matplotlib."""
     require_matplotlib()
-    from matplotlib.figure import Figure  # noqa: PLC0415  heavy, and an extra
+    from inteco_abs.views.inline_figure import InlineFigure  # noqa: PLC0415  heavy, and an extra
 
-    return Figure((width_inch, height_inch), layout="constrained")
+    return InlineFigure((width_inch, height_inch), layout="constrained")
 
 
 def draw_stops(sessions: Sequence[Session], path: Path, width: str = "two") -> None:
@@ -126,6 +126,7 @@ def figure_of(sessions: Sequence[Session], width: str = "two") -> Figure:
 
 def svg_of(sessions: Sequence[Session]) -> bytes:
     """Return the figure as SVG, two columns wide, decimated for print. Raises AbsError."""
+    require_matplotlib()
     with _style(WIDTHS["two"]):
         data = BytesIO()
         _drawn(sessions, WIDTHS["two"], _PRINTED_POINTS).savefig(data, format="svg", metadata={"Date": None})

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -14,16 +13,18 @@ from rich.table import Table
 from rich.text import Text
 
 from inteco_abs.analysis import Continuation, WhatIf, braking_start, since_braking_s
+from inteco_abs.errors import ConfigError
 from inteco_abs.quantities import shown
 from inteco_abs.sessions import Session
 from inteco_abs.signals import Phase
 from inteco_abs.views.comparison import PALETTE
-from inteco_abs.views.figure import check_figure, new_figure, save_figure
+from inteco_abs.views.figure import new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
-MOST: Final = 7
+_MOST: Final = 7
 """Alternatives that a figure can distinguish."""
 _COLOURS: Final = (*PALETTE, "#f0e442")
 _PANELS: Final = (
@@ -91,13 +92,13 @@ def _simulated(log: Mapping[str, Any], alternatives: Sequence[Mapping[str, Any]]
     return table
 
 
-def draw_what_if(session: Session, alternatives: Sequence[WhatIfTrace], path: Path) -> None:
-    """Draw log and alternatives to `path` (.png, .svg or .pdf).
+def figure_of_what_if(session: Session, alternatives: Sequence[WhatIfTrace]) -> Figure:
+    """Log and alternatives. Raises ConfigError for more than MOST, AbsError without matplotlib.
 
     An open loop is faint after it leaves the log, where the rig would have reacted. A closed loop, dashed, is a
     simulation.
     """
-    check_figure(path)
+    require_few(len(alternatives))
     since_s = since_braking_s(session)
     figure = new_figure(7.0, 7.6)
     axes: Sequence[Axes] = figure.subplots(len(_PANELS), sharex=True)
@@ -115,7 +116,14 @@ def draw_what_if(session: Session, alternatives: Sequence[WhatIfTrace], path: Pa
     axes[-1].set_xlabel("time since braking began [s]")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False, fontsize="small")
-    save_figure(figure, path)
+    return figure
+
+
+def require_few(count: int) -> None:
+    """Raise ConfigError for more alternatives than a figure can distinguish."""
+    if count > _MOST:
+        problem = f"{count} alternatives: a figure shows at most {_MOST}; try fewer values"
+        raise ConfigError.of("--figure", problem)
 
 
 def _open_loop(panel: Axes, alternative: WhatIfTrace, field: str, since_s: Any, colour: str) -> None:

@@ -18,8 +18,9 @@ from inteco_abs.montecarlo import (
     parse_draws,
     work,
 )
-from inteco_abs.montecarlo.table import draw_sweep, render_sweep
+from inteco_abs.montecarlo.table import figure_of_sweep, render_sweep
 from inteco_abs.rig import draw
+from inteco_abs.views.figure import save_figure
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
@@ -61,5 +62,5 @@ def test_many_ranges_have_one_table_and_one_figure(tmp_path):
     text = console.file.getvalue()
     assert text.count("slip RMS from 0.25 s on") == 2
     assert all(text.count(each.name) == 2 for each in draws)
-    draw_sweep(folder.rows(), tmp_path / "factors.svg")
+    save_figure(figure_of_sweep(folder.rows()), tmp_path / "factors.svg")
     assert (tmp_path / "factors.svg").read_text().count("hard-brake_dead_time_s") == 4

@@ -22,8 +22,9 @@ from inteco_abs.montecarlo import (
     split_list,
     work,
 )
-from inteco_abs.montecarlo.table import draw_sweep, render_sweep
+from inteco_abs.montecarlo.table import figure_of_sweep, render_sweep
 from inteco_abs.rig import POPULATIONS, draw, torque_margin
+from inteco_abs.views.figure import save_figure
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
@@ -254,7 +255,7 @@ def test_the_figure_shows_which_share_has_which_rms_and_leaves_out_stops_that_ha
     saved = []
     monkeypatch.setattr(Figure, "savefig", lambda self, file, **_: (saved.append(self), file.touch()))
     short = braked(tmp_path / "short", grid("experiment.start_speed_rad_s=12", "controller.name=steps"), "nominal:0")
-    draw_sweep([*rows, *short], tmp_path / "sweep.png")
+    save_figure(figure_of_sweep([*rows, *short]), tmp_path / "sweep.png")
     panel, other, last = saved[0].axes
     lines = {line.get_label(): line for line in panel.get_lines()}
     assert panel.get_title() == "hard:3-4"
@@ -273,7 +274,7 @@ def test_a_figure_that_cannot_be_written_is_an_error_and_nothing_is_left(rows, m
 
     monkeypatch.setattr(Figure, "savefig", full)
     with pytest.raises(AbsError, match=r"sweep\.png: the figure cannot be written: No space left"):
-        draw_sweep(rows, tmp_path / "sweep.png")
+        save_figure(figure_of_sweep(rows), tmp_path / "sweep.png")
     assert not list(tmp_path.iterdir())
 
 

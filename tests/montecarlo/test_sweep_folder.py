@@ -31,8 +31,9 @@ from inteco_abs.montecarlo import (
     parse_draws,
     work,
 )
-from inteco_abs.montecarlo.table import draw_sweep, render_sweep
+from inteco_abs.montecarlo.table import figure_of_sweep, render_sweep
 from inteco_abs.plugins import Controllers, Origin, load_controller
+from inteco_abs.views.figure import save_figure
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
@@ -102,7 +103,7 @@ def test_rows_that_are_under_way_have_a_table_and_a_figure(whole, begun, tmp_pat
     console = Console(width=80, record=True, file=io.StringIO())
     console.print(render_sweep(rows))
     assert "hard:0-24: slip RMS of at most 15 stops each" in console.export_text()
-    draw_sweep(rows, tmp_path / "rms.svg")
+    save_figure(figure_of_sweep(rows), tmp_path / "rms.svg")
     assert (tmp_path / "rms.svg").exists()
 
 

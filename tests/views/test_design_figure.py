@@ -2,12 +2,12 @@ import warnings
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from inteco_abs.config import load_config
 from inteco_abs.gain_design import judge_gains, stated_box
-from inteco_abs.gain_design.figure import draw_design
+from inteco_abs.gain_design.figure import figure_of_design
 from inteco_abs.rig import RigParameters
+from inteco_abs.views.figure import save_figure
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
@@ -22,29 +22,15 @@ def report():
     return report_of()
 
 
-@pytest.fixture
-def drawn(monkeypatch, tmp_path):
-    """Draws a report and gives the figure instead of saving it."""
-
-    def draw(report) -> Figure:
-        saved = []
-        monkeypatch.setattr(Figure, "savefig", lambda self, file, **_: (saved.append(self), file.touch()))
-        draw_design(report, tmp_path / "design.png")
-        (figure,) = saved
-        return figure
-
-    return draw
-
-
 @pytest.mark.parametrize(("suffix", "magic"), [("png", b"\x89PNG"), ("pdf", b"%PDF-")])
 def test_the_file_is_what_its_name_says(report, tmp_path, suffix, magic):
     path = tmp_path / f"design.{suffix}"
-    draw_design(report, path)
+    save_figure(figure_of_design(report), path)
     assert path.read_bytes().startswith(magic)
 
 
-def test_every_panel_shows_its_curves_over_the_road_speed(report, drawn):
-    gain, torque, uncertainty = drawn(report).axes
+def test_every_panel_shows_its_curves_over_the_road_speed(report):
+    gain, torque, uncertainty = figure_of_design(report).axes
     assert [panel.get_ylabel() for panel in (gain, torque)] == ["Mq [1/s]", "brake torque [N m]"]
     assert uncertainty.get_xlabel() == "road speed [rad/s]"
     for panel, label, key in (
@@ -62,22 +48,23 @@ def test_every_panel_shows_its_curves_over_the_road_speed(report, drawn):
         assert panel.get_xlim() == (10.0, 180.0)
 
 
-def test_lines_of_a_panel_differ_in_grey_too(report, drawn):
-    for panel in drawn(report).axes:
+def test_lines_of_a_panel_differ_in_grey_too(report):
+    for panel in figure_of_design(report).axes:
         named = [line for line in panel.get_lines() if not line.get_label().startswith("_")]
         looks = [(line.get_linestyle(), line.get_linewidth()) for line in named]
         assert len(set(looks)) == len(looks)
 
 
-def test_the_torques_swing_by_the_gain_over_g(report, drawn):
-    _, torque, _ = drawn(report).axes
+def test_the_torques_swing_by_the_gain_over_g(report):
+    _, torque, _ = figure_of_design(report).axes
     upper, lower = (line.get_ydata() for line in torque.get_lines() if line.get_linestyle() == "-.")
     np.testing.assert_allclose(upper - lower, 2.0 * np.array(report["curves"]["torque_swing_nm"]))
 
 
 @pytest.mark.parametrize("uncertain", ["J1=70%", "mu=0%"])
-def test_infinite_or_missing_bounds_are_left_out_quietly(drawn, uncertain):
+def test_infinite_or_missing_bounds_are_left_out_quietly(uncertain):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        figure = drawn(report_of("controller.gains.Mq=0", uncertain=[uncertain]))
+        figure = figure_of_design(report_of("controller.gains.Mq=0", uncertain=[uncertain]))
+        figure._repr_png_()
     assert len(figure.axes) == 3

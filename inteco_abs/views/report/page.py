@@ -27,6 +27,11 @@ if TYPE_CHECKING:
 _NEEDED: Final = ("bokeh", "jinja2")
 
 
+def report_path(files: Sequence[Path]) -> Path:
+    """Default page about these sessions: beside one, for several in the current folder."""
+    return files[0].with_suffix(SUFFIX) if len(files) == 1 else Path(f"comparison{SUFFIX}")
+
+
 def check_report(path: Path) -> None:
     """Check that a new report can be written to `path`. Raises ConfigError, SessionError, or AbsError without bokeh."""
     if path.suffix != SUFFIX:
