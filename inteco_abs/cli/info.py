@@ -104,6 +104,8 @@ def _first_facts(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         )
     yield "board", f"{joined('rig', 'board', 'logic_version', 'application_name')}, profile {joined('rig', 'profile')}"
     yield "rig", f"{place}, {time}"
+    if roads := joined("rig", "roads"):
+        yield "roads", roads
     if faults := metadata.get("injected"):
         yield "injected", ", ".join(f"{fault} acted {times} times" for fault, times in faults.items())
     described = metadata.get("description", {})

@@ -415,6 +415,11 @@ class SimulationConfig(Section):
     """Text of that population, in TOML, where it is not a shipped one; `--rig my-lab.toml:17` fills in both."""
     parameters: Literal["mask", "table"] = "mask"
     """Published set of the simulated rig."""
+    roads: Annotated[list[Annotated[str, MaxLen(100)]], MinLen(1), MaxLen(1000)] | None = None
+    """Road of each stop in turn, from the first again after the last: `own`, the rig's, or dry-asphalt, dry-concrete,
+    wet-asphalt, wet-cobblestone, snow or ice; `own*0.6` has a factor on the adhesion, `own>ice@300ms` and
+    `ice>*2@0.3s` change it that long after the brake came on. It lies there from the first brake command of a stop
+    to the drive's next run-up, which is on the rig's own."""
     brake_rate_per_s: Annotated[float, Interval(ge=1.0, le=1e6)] = 20.37
     """Rate of the brake actuator's lag."""
     drive_pwm: Annotated[int, Interval(ge=0, le=7)] = 0

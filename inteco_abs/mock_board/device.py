@@ -11,6 +11,7 @@ import random
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
+from itertools import cycle
 from typing import Final, Literal, NamedTuple
 
 from firmware_protocol import signed32
@@ -18,7 +19,7 @@ from firmware_protocol.pwm import PWM_FULL_WIDTH
 from firmware_protocol.rtdac_usb2 import TIMER_HZ
 from inteco_abs.config import RigConfig, SimulationConfig
 from inteco_abs.mock_board.family import mock_family
-from inteco_abs.mock_board.simulated_rig import simulated_rig
+from inteco_abs.mock_board.simulated_rig import roads_of_stops, simulated_rig
 from inteco_abs.rig import WORD, Encoder, Plant, mixed
 
 _TIMER_RANGE: Final = 1 << 32
@@ -184,6 +185,8 @@ class Device:
         wheel_edge, wheel_offset = generator.random(), generator.getrandbits(32)
         road_sign, wheel_sign = self.cable.road_sign, self.cable.wheel_sign
         rig = simulated_rig(config, _seen_from(wheel_sign, wheel_edge), _seen_from(road_sign, road_edge))
+        self._rig, self._roads = rig, cycle(roads_of_stops(config, rig))
+        self._changes_road, self._on_road = config.simulation.roads is not None, False
         self.plant = Plant(rig, 0.0, 0.0)
         noisy = replace(rig, seed=rig.seed ^ mixed(seed & WORD))  # mixed(0) is 0
         self._road = QuadratureCounter(Encoder(noisy, wheel=False), road_sign, road_offset)
@@ -211,10 +214,10 @@ class Device:
         return self._duties
 
     def terminals(self) -> Terminals | None:
-        """Return what is at the terminals while only widths change; None while more happens there."""
+        """Return what is at the terminals while only widths change; None while more happens there, or to the road."""
         wheel, road = self._wheel, self._road
         steady = self._powered and not self._watched and self._hand is None and wheel.free and road.free
-        if not steady or wheel.encoder.readings != road.encoder.readings:
+        if not steady or self._changes_road or wheel.encoder.readings != road.encoder.readings:
             return None
         drive, brake = (self._full_width(channel) for channel in (self.cable.drive_pwm, self.cable.brake_pwm))
         return Terminals(wheel.encoder.seed, wheel.encoder.readings, drive, brake, wheel, road, self._time_ns)
@@ -334,10 +337,22 @@ class Device:
 
     def _advance(self, until: int) -> None:
         drive, brake = self._motors()
+        if self._changes_road:
+            self._change_road(drive, brake)
         self.plant.advance(drive, brake, (until - self._time_ns) / 1e9)
         if self._hand is not None:
             self._turn_by_hand(self._hand, until)
         self._time_ns = until
+
+    def _change_road(self, drive: float, brake: float) -> None:
+        """Brake on the road of this stop, and drive on the rig's own, on which both wheels spin up."""
+        if drive > 0.0:
+            if self._on_road:
+                self.plant.take_road(self._rig)
+            self._on_road = False
+        elif brake > 0.0 and not self._on_road:
+            self.plant.take_road(next(self._roads))
+            self._on_road = True
 
     def _feed(self) -> None:
         """Restart the one-shot, which closes its contact, if its input level has changed."""

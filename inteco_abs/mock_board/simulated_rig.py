@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from inteco_abs.config import EncodersConfig, RigConfig, SimulationConfig, defaults, section_of
 from inteco_abs.errors import ConfigError, ConfigIssue, near_match
-from inteco_abs.rig import POPULATIONS, EncoderVariation, RigParameters, RigVariation, draw
+from inteco_abs.rig import POPULATIONS, EncoderVariation, RigParameters, RigVariation, draw, on_road
 
 _MOST_DIGITS: Final = 20
 """Digits of a seed below 2^64; rejects absurdly long numbers before they are converted."""
@@ -18,7 +18,7 @@ _OWN: Final = ("parameters", "brake_rate_per_s")
 
 
 def simulated_rig(config: RigConfig, wheel_edge: float = 0.0, road_edge: float = 0.0) -> RigVariation:
-    """Return the rig of [simulation]; raises ConfigError for an invalid drawn one.
+    """Return the rig of [simulation] on its own road; raises ConfigError for an invalid drawn one.
 
     `wheel_edge` and `road_edge`, in counts 0..1, are the positions of the published rig's ideal encoders between two
     lines at power-up. A drawn rig has its own.
@@ -38,6 +38,14 @@ def simulated_rig(config: RigConfig, wheel_edge: float = 0.0, road_edge: float =
     )
 
 
+def roads_of_stops(config: RigConfig, rig: RigVariation) -> tuple[RigVariation, ...]:
+    """Return the simulated rig on the road of each stop in turn; raises ConfigError for one that is not possible."""
+    try:
+        return tuple(on_road(rig, text) for text in config.simulation.roads or ())
+    except ValueError as error:
+        raise ConfigError.of("simulation.roads", str(error)) from error
+
+
 def drawn_facts(config: RigConfig) -> dict[str, str]:
     """Return the drawn rig's differences from the published one, as text; raises ConfigError as `simulated_rig`."""
     if not config.simulation.rig:
@@ -48,7 +56,17 @@ def drawn_facts(config: RigConfig) -> dict[str, str]:
 
 
 def rig_check(table: Mapping[str, Any]) -> Iterator[ConfigIssue]:
-    """Check for `load_config`: a drawn rig must exist, and the rest of the configuration must match it."""
+    """Check for `load_config`: a drawn rig must exist, the rest must match it, and roads must be possible."""
+    yield from _drawn_check(table)
+    roads, published = section_of(table, "simulation").get("roads"), RigVariation()
+    for text in roads if isinstance(roads, list) else ():
+        try:
+            on_road(published, str(text))
+        except ValueError as error:
+            yield ConfigIssue("simulation.roads", str(error))
+
+
+def _drawn_check(table: Mapping[str, Any]) -> Iterator[ConfigIssue]:
     simulation = section_of(table, "simulation")
     name = simulation.get("rig", "")
     if not isinstance(name, str) or not name:

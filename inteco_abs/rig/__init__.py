@@ -13,6 +13,7 @@ from inteco_abs.rig.parameters import RigParameters
 from inteco_abs.rig.plant import Plant
 from inteco_abs.rig.population import LONGEST_BRAKING_S, POPULATIONS, draw, is_described
 from inteco_abs.rig.rng import WORD, mixed
+from inteco_abs.rig.roads import on_road
 from inteco_abs.rig.torque_margin import holding_torque, torque_margin
 from inteco_abs.rig.variation import (
     ENCODER_RANGES,
@@ -62,6 +63,7 @@ __all__ = [
     "nominal_brake_map",
     "nominal_drive_motor",
     "nominal_parameters",
+    "on_road",
     "settled_torque",
     "torque_margin",
     "wheel_slip",

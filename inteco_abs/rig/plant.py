@@ -75,6 +75,12 @@ class Plant(State):
         """Adhesion coefficient of the road at this slip, equation (8) or the rig's own."""
         return self.grip * road_adhesion(self.constants, self, self.slip)
 
+    def take_road(self, rig: RigVariation) -> None:
+        """Go on with `rig`, which is this one on another road, whose changes count from the next brake command."""
+        self.braking_since_s = math.inf
+        self.constants = k = Constants.of(rig, self.motor, self.constants.max_step_s)
+        _, _, self.grip, _, self.road_c1, self.road_c2, self.road_c3 = start_values(k)
+
     def advance(self, drive: float, brake: float, duration_s: float) -> None:
         """Advance by `duration_s` >= 0 with constant duties in 0..1; raises ValueError outside."""
         if not (0.0 <= drive <= 1.0 and 0.0 <= brake <= 1.0):

@@ -227,12 +227,14 @@ class SessionWriter:
             self._recorder.describe("software", found.software)
 
     def _physics(self) -> dict[str, str]:
-        """The simulated rig in the mock board."""
-        if self._drawn:
-            return {"drawn": self._drawn}
-        if simulated(self.header.board):
-            return {"simulated_parameters": self._config.simulation.parameters}
-        return {}
+        """The simulated rig in the mock board, and its roads."""
+        if not simulated(self.header.board):
+            return {}
+        simulation = self._config.simulation
+        roads = {"roads": ", ".join(simulation.roads)} if simulation.roads else {}
+        return (
+            {"drawn": self._drawn, **roads} if self._drawn else {"simulated_parameters": simulation.parameters, **roads}
+        )
 
     def _card(self, outcome: str, end: RunEnd, explanation: str) -> dict[str, Any]:
         return {
