@@ -20,7 +20,7 @@ from inteco_abs.analysis.replay import recorded_arithmetic, samples
 from inteco_abs.analysis.tolerance import Array
 from inteco_abs.boards import Board, InProcessLink, board_behind
 from inteco_abs.config import RigConfig, SimulationConfig, load_config
-from inteco_abs.control import Controller, Gain, Pipeline, make_controller, make_estimator, set_gain
+from inteco_abs.control import Controller, Gain, Pipeline, keeps_gain, make_controller, make_estimator, set_gain
 from inteco_abs.errors import SessionError, describe_error
 from inteco_abs.format import INTERNALS, TICK, TRUTH
 from inteco_abs.mock_board import Device, Truth, front_end_of
@@ -153,6 +153,10 @@ class _Successor:
     def __init__(self, log: _Log, controller: Controller) -> None:
         self._log = log
         self._controller = controller
+
+    def keeps_gain(self, name: str, value: float) -> bool:
+        """Whether the other controller can change a gain."""
+        return keeps_gain(self._controller, name, value)
 
     def change_gain(self, name: str, value: float) -> None:
         """Change a gain of the other controller."""

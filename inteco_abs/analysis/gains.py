@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import starmap
 from typing import Final
 
+import numpy as np
+
 from inteco_abs.config import RigConfig
 from inteco_abs.control import REFERENCE, Controller, GainChange, Pipeline, gains_in_force, keeps_gain
 from inteco_abs.format import PARAMETERS_TOPIC
@@ -29,12 +31,13 @@ def listed_changes(session: Session) -> dict[str, str]:
 
 def times_of_changes_ns(session: Session) -> list[int]:
     """Time of the tick of each change of a gain that the session has, ns."""
-    ticks, times_ns = [change.tick for change in gain_changes(session)], list[int]()
-    if ticks:
+    ticks, times_ns = np.array([change.tick for change in gain_changes(session)], np.uint64), list[int]()
+    if len(ticks):
         for rows, _ in session.blocks():
-            found = rows["tick"].searchsorted(ticks)
-            times_ns += [int(rows["time_ns"][at]) for at, tick in zip(found, ticks, strict=True)
-                         if at < len(rows) and rows["tick"][at] == tick]  # fmt: skip
+            numbers = rows["tick"].astype(np.uint64)
+            places = np.searchsorted(numbers, ticks)
+            places = places[np.append(numbers, np.iinfo(np.uint64).max)[places] == ticks]
+            times_ns += rows["time_ns"][places].tolist()
     return times_ns
 
 

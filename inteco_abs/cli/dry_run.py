@@ -124,11 +124,12 @@ def _conditions(planned: Sequence[Planned]) -> Iterator[Condition]:
 
 
 def _build(config: RigConfig, plan: Plan) -> None:
-    from inteco_abs.control import build_pipeline
+    from inteco_abs.control import build_pipeline, check_changes, gains_to_change
     from inteco_abs.experiment import time_limit
 
     with redirect_stdout(sys.stderr), time_limit():  # a user's controller may print, and the report is on stdout
-        build_pipeline(config, plan.controllers)
+        pipeline = build_pipeline(config, plan.controllers)
+    check_changes(config, gains_to_change(pipeline, config, plan.controllers))
 
 
 def _memory_bytes(config: RigConfig, plan: Plan) -> int:

@@ -113,6 +113,8 @@ def report_end(stop: RunResult) -> None:
     for fault, times in stop.injected.items():
         acted = "never acted: was the run over before?" if times == "0" else f"acted {times} times"
         say(f"inteco-abs: injected {fault}: {acted}", err=True)
+    for change in stop.not_made:
+        say(f"inteco-abs: the change {change} was not made: the run was over before", err=True)
     if stop.outcome != "completed":
         safe = f"; drive and brake are off after tick {stop.card['ticks'] - 1}" if stop.outcome == "fault" else ""
         say(f"inteco-abs: {stop.outcome}: {stop.explanation}{safe}", err=True)

@@ -86,10 +86,16 @@ def gains_to_change(
 
 
 def check_changes(config: RigConfig, gains: Sequence[Gain]) -> None:
-    """Raise ConfigError unless `gains`, which can change, have all that `experiment.changes` plans."""
-    planned = planned_changes(config.experiment.changes)
-    problems = dict.fromkeys(value_problem(each.name, each.value, gains) for each in planned)
-    mistakes = [ConfigIssue("experiment.changes", problem) for problem in problems if problem]
+    """Raise ConfigError unless `gains`, which can change, have all that `experiment.changes` plans, within the run."""
+    problems = list[str]()
+    for text, each in zip(config.experiment.changes or (), planned_changes(config.experiment.changes), strict=True):
+        problems.append(value_problem(each.name, each.value, gains))
+        stops, longest_s = config.experiment.stops, config.experiment.longest_s
+        if each.braking > stops:
+            problems.append(f"{text!r}: the run has {stops} {'stop' if stops == 1 else 'stops'}; set experiment.stops")
+        if each.delay(config.loop.rate_hz) > longest_s * config.loop.rate_hz:
+            problems.append(f"{text!r}: the run lasts at most {longest_s:g} s; choose an earlier time")
+    mistakes = [ConfigIssue("experiment.changes", problem) for problem in dict.fromkeys(problems) if problem]
     if mistakes:
         raise ConfigError(mistakes)
 

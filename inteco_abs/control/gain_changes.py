@@ -103,8 +103,9 @@ def value_problem(name: str, value: float, gains: Sequence[Gain]) -> str:
 def changeable_gains(controller: Any, declared: Iterable[Gain], values: Mapping[str, float]) -> tuple[Gain, ...]:
     """The reference slip and the gains that can change, each with its value of `values` as its default.
 
-    A gain can if the controller keeps it as it got it, under its own name, or has a method `change_gain`. One that the
-    class declares as `fixed` cannot, nor can the reference where it follows points or a formula.
+    A gain can if the controller keeps it as it got it, under its own name, or has a method `change_gain`; a wrapper has
+    `keeps_gain` as well. One that the class declares as `fixed` cannot, nor can the reference where it follows points
+    or a formula.
     """
     known = [reference_gain(values[REFERENCE]), *declared]
     found = [gain._replace(default=values[gain.name]) for gain in known if not gain.fixed]
@@ -117,7 +118,7 @@ def set_gain(controller: Any, name: str, value: float) -> None:
     Raises what a user's controller raises, and AttributeError for a gain that it does not keep.
     """
     own = getattr(controller, "change_gain", None)
-    if own is not None:
+    if own is not None and (name != REFERENCE or hasattr(controller, "keeps_gain")):
         own(name, value)
     elif name == REFERENCE:
         controller.reference = value
@@ -141,13 +142,27 @@ def keeps_gain(controller: Any, name: str, value: float) -> bool:
         holder, name = controller, "reference"
     else:
         holder = controller.k if _in_constants(controller, name) else controller
-    found = getattr(holder, name, None)
-    return type(found) is float and found == value
+    found, of_class = getattr(holder, name, None), getattr(type(holder), name, None)
+    can = not isinstance(of_class, property) or of_class.fset is not None
+    return can and type(found) is float and found == value
 
 
 def _in_constants(controller: Any, name: str) -> bool:
     k = getattr(controller, "k", None)
     return is_dataclass(k) and any(field.name == name for field in fields(k))
+
+
+def changes_not_made(texts: Iterable[str] | None, made: Iterable[GainChange]) -> tuple[str, ...]:
+    """The planned changes whose time did not come."""
+    left = [(change.name, change.value) for change in made]
+    missing = []
+    for text in texts or ():
+        planned = parse_change(text)
+        if (planned.name, planned.value) in left:
+            left.remove((planned.name, planned.value))
+        else:
+            missing.append(text)
+    return tuple(missing)
 
 
 class ChangePlan:

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from inteco_abs.boards import simulated
 from inteco_abs.config import RigConfig
-from inteco_abs.control import GainChange
+from inteco_abs.control import GainChange, changes_not_made
 from inteco_abs.errors import CaptureError
 from inteco_abs.format import TICK, TRUTH
 from inteco_abs.quantities import Quantity
@@ -96,6 +96,8 @@ class RunResult:
     """Disk errors and their consequences, or why raw frames are missing; empty without problems."""
     injected: Mapping[str, str] = field(default_factory=dict)
     """How often each injected fault acted."""
+    not_made: Sequence[str] = ()
+    """Planned changes of gains whose time did not come."""
 
     @property
     def exit_code(self) -> int:
@@ -206,7 +208,8 @@ class SessionWriter:
         facts = {"last_tick": last, "died": ", ".join(end.died)}
         self._recorder.describe("session", {name: text for name, text in facts.items() if text})
         self._recorder.finish(outcome, explanation, card)
-        return RunResult(outcome, end.reason, explanation, card, missing, end.facts.get("injected", {}))
+        not_made = changes_not_made(self._config.experiment.changes, self.changes)
+        return RunResult(outcome, end.reason, explanation, card, missing, end.facts.get("injected", {}), not_made)
 
     def _enclose_frames(self, frames: Frames) -> str:
         """Write the raw frames after all ticks; return why they are missing, or an empty text."""

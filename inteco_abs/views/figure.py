@@ -184,10 +184,11 @@ def _mark_changes(axes: Sequence[Axes], sessions: Sequence[Session]) -> None:
     """A line at each time at which a gain changed, in the session's colour if there are several."""
     label = "gain changed"
     for session, colour in zip(sessions, PALETTE if len(sessions) > 1 else ("black",), strict=False):
-        for time_s in changes_s(session):
+        if times_s := changes_s(session):
+            looks: dict[str, Any] = {"colors": colour, "lw": 0.6, "ls": (0, (1, 2))}
             for panel in axes:
-                panel.axvline(time_s, color=colour, lw=0.6, ls=(0, (1, 2)))
-            axes[2].get_lines()[-1].set_label(label)
+                whole = panel.get_xaxis_transform()
+                panel.vlines(times_s, 0.0, 1.0, transform=whole, label=label if panel is axes[2] else "", **looks)
             label = ""
 
 

@@ -65,10 +65,11 @@ def assert_same(both, *settings, compiled=True, **options):
     [
         pytest.param((), marks=pytest.mark.long),
         ("experiment.stops=2", 'simulation.rig="rough:2"', "controller.name=boundary-layer", "estimator.name=kalman"),
+        ('experiment.changes=["reference_slip=0.3@#40", "Mk=9@#90"]', "controller.name=boundary-layer"),
         ('simulation.rig="own:1"', f"simulation.population={json.dumps(DEFECTIVE)}"),
         ("simulation.wheel_sign=-1", "board.wheel_sign=-1", 'board.pwm_mode="8-bit"', "loop.rate_hz=1000.0"),
     ],
-    ids=["default", "two stops", "defects and roads", "other wiring"],
+    ids=["default", "two stops", "gains that have changed", "defects and roads", "other wiring"],
 )
 def test_a_compiled_run_has_the_bits_of_python(both, settings):
     session = assert_same(both, *settings, seed=5)

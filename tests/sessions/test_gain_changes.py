@@ -23,6 +23,9 @@ from inteco_abs.plugins import Controllers, Origin
 from inteco_abs.sessions import card_of, changes_among, read_session, recover_session, session_config, write_copy
 from inteco_abs.sessions.content import Parameters
 from inteco_abs.signals import BrakeDemand, Phase, Reason
+from inteco_abs.views.figure import figure_of
+from inteco_abs.views.report.plots import time_plots
+from inteco_abs.views.report.traces import traces_of
 
 SMALL = (
     *("experiment.start_speed_rad_s=15.0", "experiment.idle_s=0.01", "experiment.hold_s=0.0", "loop.rate_hz=400.0"),
@@ -284,3 +287,73 @@ def test_a_copy_of_a_session_keeps_its_changes(small, replayed, tmp_path):
     assert changes_of(copy) == changes_of(session)
     assert [entry.text for entry in copy.log] == [entry.text for entry in session.log]
     assert replayed(copy).differing == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ("Mk=5@brake3", "the run has 2 stops"),
+        ("Mk=5@brake+99999s", "lasts at most"),
+        ("Mk=5@#999999999", "lasts at most"),
+    ],
+)
+def test_a_change_that_can_never_come_is_refused(small, change, problem):
+    with pytest.raises(ConfigError, match=problem):
+        small(change)
+
+
+def test_a_change_whose_time_does_not_come_is_named_at_the_end(small, verb, tmp_path):
+    made = small("Mk=5@brake+#5", "Mk=6@60s", "Mk=5@brake+9s")
+    assert made.stop.not_made == ("Mk=6@60s", "Mk=5@brake+9s")
+    done = verb("run", "--virtual", "--change", "Mk=6@20s", "--out", tmp_path / "late.mcap", "--quiet")
+    assert (done.code, done.err) == (0, "inteco-abs: the change Mk=6@20s was not made: the run was over before\n")
+
+
+class Reads(Own):
+    """Has a property without a setter, and a method for all other gains."""
+
+    @property
+    def Kp(self):
+        return self._kp
+
+    def __init__(self, setup, Kp, **_others):
+        self.reference, self._kp, self.changed = setup.reference_slip, Kp, {}
+
+
+class Handles(Reads):
+    def change_gain(self, name, value):
+        self.changed[name] = value
+
+
+@pytest.mark.parametrize(("kind", "can"), [(Reads, []), (Handles, ["Kp", "Ki", "bias"])])
+def test_a_method_changes_every_gain_and_a_property_needs_a_setter(kind, can):
+    known = Controllers({"Own": (kind, Origin(b""))})
+    config = load_config(settings=["controller.name=Own"], checks=[control_check(known)])
+    pipeline = build_pipeline(config, known)
+    assert [gain.name for gain in gains_to_change(pipeline, config, known)] == ["reference_slip", *can]
+    pipeline.change("reference_slip", 0.3)
+    for name in can:
+        pipeline.change(name, 0.5)
+    controller = pipeline.machine.controller
+    assert (controller.reference, controller.changed) == (0.3, dict.fromkeys(can, 0.5))
+
+
+def test_a_rehearsal_refuses_what_the_run_would(verb):
+    fixed = ("--set", "controller.name=smith-relay", "--change", "dead_time_s=0.01@1s")
+    done = verb("run", "--virtual", "--dry-run", *fixed)
+    assert done.code == 2
+    assert "dead_time_s: not a gain that can change while a run lasts" in " ".join(done.out.split())
+
+
+def test_figure_and_report_mark_each_change(run_at, tmp_path):
+    session = run_at(tmp_path / "marked.mcap", (*SMALL, planned("Mk=30@brake+#5", "Mk=3@brake2"))).session
+    panel = figure_of([session]).axes[2]
+    (marks,) = (each for each in panel.collections if each.get_label() == "gain changed")
+    wanted = pytest.approx([0.0125, braking_times_s(session)[1]], abs=0.003)
+    assert [path.vertices[0][0] for path in marks.get_paths()] == wanted
+    (trace,) = traces_of([session])
+    assert list(trace.changes_s) == wanted
+    for drawing in time_plots([trace]):
+        (spans,) = (each for each in drawing.plot.renderers if each.name == "change")
+        assert tuple(spans.data_source.data["x"]) == trace.changes_s
+        assert "a gain changed" in drawing.caption

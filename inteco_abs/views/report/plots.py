@@ -120,11 +120,11 @@ def _drawing(
     plot.y_range = DataRange1d(only_visible=True, range_padding=0.05)
     if panel.key == "slip":
         plot.y_range = Range1d(-0.02, max(map(_highest_slip, traces)))
-    changes = [(time_s, trace.look.colour) for trace in traces for time_s in trace.changes_s]
-    for time_s, colour in changes:
-        line = {"line_color": colour if len(traces) > 1 else GREY, "line_dash": "dotdash"}
-        plot.add_layout(Span(location=time_s, dimension="height", name="change", **line))
-    changed = "dash-dotted: a gain changed" if changes else ""
+    changing = [trace for trace in traces if trace.changes_s]
+    for trace in changing:
+        colour = trace.look.colour if len(traces) > 1 else GREY
+        plot.vspan(x=list(trace.changes_s), name="change", line_color=colour, line_dash="dotdash")
+    changed = "dash-dotted: a gain changed" if changing else ""
     if len(traces) == 1:
         draw_bands(plot, traces[0])
         if panel.key == "slip":
