@@ -27,6 +27,7 @@ from inteco_abs.sessions import (
     WARNING,
     StateEvents,
     event_channel,
+    pack_change,
     pack_event,
     pack_parameters,
     parameter_channel,
@@ -136,9 +137,9 @@ class _RunServer:
         if not self._described:
             self._describe()
         records, self._next = self._ticks.look(self._next)
-        self._show_changes()
         if records:
             self._show_events(records)
+            self._show_changes(records)
             self._newest = records[-TICK.size :]
             self._server.send(TICK.topic, self._time_of(self._newest), self._newest)
         if self._newest and self._truths.written != self._next_truth:  # the file has no states from before the ticks
@@ -167,13 +168,17 @@ class _RunServer:
         now_ns = self._epoch_ns + time.monotonic_ns()
         self._server.send(PARAMETERS_TOPIC, now_ns, pack_parameters(gains), keep=True)
 
-    def _show_changes(self) -> None:
-        if self._changes is None:
-            return
-        for tick, name, value in self._changes.changes(self._shown_changes):
+    def _show_changes(self, records: bytes) -> None:
+        """Send the changes of gains up to the newest of these ticks, at the time of their tick."""
+        rows = TICK.array(records)
+        for change in self._changes.changes(self._shown_changes) if self._changes is not None else ():
+            if change.tick > rows["tick"][-1]:
+                return  # its tick comes
             self._shown_changes += 1
-            now_ns = self._epoch_ns + time.monotonic_ns()
-            self._server.send(PARAMETERS_TOPIC, now_ns, pack_parameters({name: value}, tick), keep=True)
+            stamp_ns = self._epoch_ns + int(rows["time_ns"][rows["tick"].searchsorted(change.tick)])
+            data = pack_parameters({change.name: change.value}, change.tick)
+            self._server.send(PARAMETERS_TOPIC, stamp_ns, data, keep=True)
+            self._server.send(LOG_TOPIC, stamp_ns, pack_change(stamp_ns, change), keep=True)
 
     def _show_events(self, records: bytes) -> None:
         rows = TICK.array(records)

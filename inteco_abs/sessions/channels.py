@@ -10,6 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from inteco_abs.control import GainChange
 from inteco_abs.format import (
     INTERNALS,
     LOG_NAME,
@@ -130,6 +131,16 @@ def pack_parameters(values: Mapping[str, float], tick: int = 0) -> bytes:
     """Parameters in force from `tick` on."""
     entries = b"".join(chunk(1, chunk(1, name) + double(2, value)) for name, value in values.items())
     return entries + tag(2, 5) + struct.pack("<I", tick)
+
+
+def pack_change(stamp_ns: int, change: GainChange) -> bytes:
+    """The entry of the log for a change of a gain, at UNIX time `stamp_ns`."""
+    return pack_event(stamp_ns, INFO, describe_change(change))
+
+
+def describe_change(change: GainChange) -> str:
+    """What the log says of a change of a gain."""
+    return f"{change.name} = {change.value:.6g} from tick {change.tick}"
 
 
 class StateEvents:

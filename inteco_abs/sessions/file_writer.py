@@ -37,6 +37,7 @@ from inteco_abs.sessions.channels import (
     WARNING,
     Channel,
     StateEvents,
+    describe_change,
     event_channel,
     pack_event,
     pack_parameters,
@@ -225,9 +226,9 @@ class FileWriter:
         return found
 
     def _put_change(self, stamp_ns: int, change: GainChange) -> None:
-        tick, name, value = change
-        self._writer.add_message(self._parameter_channel, stamp_ns, pack_parameters({name: value}, tick))
-        self.event(stamp_ns, INFO, f"{name} = {value:.6g} from tick {tick}")
+        data = pack_parameters({change.name: change.value}, change.tick)
+        self._writer.add_message(self._parameter_channel, stamp_ns, data)
+        self.event(stamp_ns, INFO, describe_change(change))
 
     def _pack_states(self, rows: npt.NDArray[np.void], times_ns: npt.NDArray[np.uint64]) -> None:
         if len(rows):

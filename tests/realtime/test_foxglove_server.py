@@ -17,10 +17,12 @@ from websockets.sync.client import connect
 from websockets.uri import parse_uri
 
 from inteco_abs.config import load_config
+from inteco_abs.control import GainChange
 from inteco_abs.errors import AbsError, ConfigError
 from inteco_abs.experiment import Plan, run_stop
 from inteco_abs.format import TICK, pack_tick
 from inteco_abs.realtime.foxglove_server import MOST_VIEWERS, PERIOD_S, require_foxglove
+from inteco_abs.realtime.gain_changes import ChangeTable
 from inteco_abs.realtime.live_view import live_view
 from inteco_abs.realtime.memory import Field, Mailbox, alive
 from inteco_abs.realtime.ring import RingReader
@@ -151,6 +153,23 @@ def test_parameters_and_names_of_internals_come_once_the_board_has_answered(memo
     assert facts["/abs/tick internals"] == '["f", "g"]'
     assert json.loads(facts["/abs/params units"])["Mk"] == "1/s"
     assert json.loads(facts["/abs/tick units"])["torque_demand_nm"] == "N.m"
+
+
+def test_a_change_of_a_gain_comes_with_the_time_of_its_tick(memory, job, loop):
+    memory.post(Mailbox.HEADER, {"gains": {"Mk": 2.5}, "internals": [], "declared": [["Mk", "1/s", "rate"]]})
+    with live_view(memory, job):
+        table = ChangeTable(memory, ["Mk"])
+        loop.append(phase=Phase.IDLE)
+        table.record(GainChange(loop.number + 2, "Mk", 7.5))
+        for _ in range(3):
+            loop.append(phase=Phase.IDLE)
+        with watching(memory.words[Field.LIVE_PORT], "/abs/params", "/abs/event") as viewer:
+            found = [viewer.next_of("/abs/params", "/abs/event") for _ in range(4)]
+    said = [(time_ns, viewer.decode(data, topic)) for topic, time_ns, data in found]
+    (when, change), *_ = [(when, each) for when, each in said if getattr(each, "tick", 0)]
+    assert dict(change.values) == {"Mk": 7.5}
+    texts = {each.message: when for when, each in said if hasattr(each, "message")}
+    assert texts[f"Mk = 7.5 from tick {change.tick}"] == when
 
 
 def test_warnings_and_the_result_come_too(memory, job):
