@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from inteco_abs.api.session import Session, open_session
     from inteco_abs.api.sweep import Sweep, sweep
     from inteco_abs.errors import AbsError
+    from inteco_abs.realtime import Tuner
     from inteco_abs.version import __version__
 
 __all__ = [
@@ -17,6 +18,7 @@ __all__ = [
     "Rig",
     "Session",
     "Sweep",
+    "Tuner",
     "__version__",
     "connect",
     "design",
@@ -31,6 +33,7 @@ _MODULES = {
     "Rig": "api.rig",
     "Session": "api.session",
     "Sweep": "api.sweep",
+    "Tuner": "realtime",
     "__version__": "version",
     "connect": "api.rig",
     "design": "api.design",

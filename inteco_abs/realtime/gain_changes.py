@@ -38,7 +38,7 @@ class GainChanges:
     """Changes gains of a `pipeline` between two ticks of the loop, and hands each change to `record`.
 
     `gains` are those that may change, with their ranges: a request for another one, or out of range, is refused, and so
-    are all after `MOST_CHANGES`. A tick without a change costs two comparisons.
+    are all after `MOST_CHANGES`. A tick without a change costs a few comparisons.
     """
 
     def __init__(
@@ -51,18 +51,21 @@ class GainChanges:
     ) -> None:
         self._pipeline, self._gains, self._record, self._requests = pipeline, gains, record, requests
         self._plan = ChangePlan(planned_changes(config.experiment.changes), config.loop.rate_hz)
+        self._planned = not self._plan.over
         self._made = 0
 
     @property
     def over(self) -> bool:
         """Whether no change can follow."""
-        return self._plan.over and self._requests is None
+        return not self._planned and self._requests is None
 
     def before(self, sample: Sample) -> None:
         """Make the changes that take effect with the decision on `sample`."""
         tick = sample.tick
-        for planned in self._plan.due(tick, braking=self._pipeline.phase is _BRAKING):
-            self._make(tick, planned.name, planned.value)
+        if self._planned:
+            for planned in self._plan.due(tick, braking=self._pipeline.phase is _BRAKING):
+                self._make(tick, planned.name, planned.value)
+            self._planned = not self._plan.over
         if self._requests is not None and tick > 0:
             asked = self._requests.asked()
             if asked is not None:
