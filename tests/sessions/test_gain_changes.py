@@ -180,6 +180,13 @@ def test_of_a_class_of_ones_own_the_gains_that_it_keeps_can_change():
     ]
 
 
+def test_no_change_of_a_gain_takes_a_duty_beyond_the_guards_limit(run_at, tmp_path):
+    limited = (*SMALL, "controller.name=pi", "guard.brake_limit=0.5", planned("bias=1@brake+#5", "Kp=100@brake+#5"))
+    ticks = run_at(tmp_path / "limited.mcap", limited).session.ticks
+    assert ticks["brake_request"].max() == 1.0
+    assert ticks["brake"].max() == 0.5
+
+
 def test_a_class_that_raises_at_a_change_ends_the_run_safely_and_replays(small, replayed):
     made = small("Kp=0.5@brake+#3", "bias=0.95@brake+#9", law="Own", controllers=OWN)
     assert made.stop.reason is Reason.CONTROLLER_ERROR
