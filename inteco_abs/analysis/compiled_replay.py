@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import deque
+from collections.abc import Iterable
+from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, NamedTuple
@@ -11,16 +14,19 @@ import numpy as np
 
 from inteco_abs.analysis.tolerance import Array
 from inteco_abs.control import (
+    REFERENCE,
     Controller,
     DecisionState,
     Estimator,
     Function,
+    GainChange,
     Pipeline,
     advance_and_admit,
     finite_demand,
     finite_estimate,
     function_of,
     reference_function,
+    set_gain,
 )
 from inteco_abs.format import TICK
 from inteco_abs.machine_code import compile_problem, compiled, is_compiled, is_own, record, records
@@ -59,9 +65,14 @@ class SequenceRecords(NamedTuple):
 
 
 class CompiledReplay:
-    """A new `pipeline` that decides in machine code, block by block; the pipeline itself stays as it was."""
+    """A new `pipeline` that decides in machine code, block by block; the pipeline itself stays as it was.
 
-    def __init__(self, pipeline: Pipeline, may_compile: bool) -> None:
+    `changes` are those of gains, by tick.
+    """
+
+    def __init__(self, pipeline: Pipeline, may_compile: bool, changes: Iterable[GainChange] = ()) -> None:
+        self._changes = deque(changes)
+        self._controller: Any = deepcopy(pipeline.machine.controller) if self._changes else None
         self._records = pipeline_records(pipeline)
         self._loop = partial(decide_rows, decide=function_of_pipeline(pipeline)) if self._records else None
         self._may_compile = may_compile
@@ -77,7 +88,32 @@ class CompiledReplay:
             return None
         self._newest_ns = int(logged["time_ns"][-1])
         rows = logged.view(np.uint8).copy().view(logged.dtype)
-        return rows if run_compiled(self._loop, (*self._records, rows), self._may_compile) else None
+        start = 0
+        while self._changes and (end := int(rows["tick"].searchsorted(self._changes[0].tick))) < len(rows):
+            if not self._decide(rows[start:end]) or not self._change(*self._changes.popleft()):
+                return None
+            start = end
+        return rows if self._decide(rows[start:]) else None
+
+    def _decide(self, rows: Array) -> bool:
+        loop, records = self._loop, self._records
+        if loop is None or records is None:
+            return False
+        return not len(rows) or run_compiled(loop, (*records, rows), self._may_compile)
+
+    def _change(self, _tick: int, name: str, value: float) -> bool:
+        """Change a gain in the records; False where Python has to."""
+        if self._records is None:
+            return False
+        parts, sequence = self._records
+        try:
+            set_gain(self._controller, name, value)
+            if name == REFERENCE:
+                parts.controllers["reference"], sequence = value, sequence._replace(reference_slip=value)
+            self._records = parts._replace(controller_k=record(self._controller.k)), sequence
+        except (AttributeError, TypeError, ValueError):  # it has no such gain, or no such field
+            return False
+        return True
 
 
 def pipeline_records(pipeline: Pipeline) -> tuple[ControlRecords, SequenceRecords] | None:

@@ -240,9 +240,9 @@ class _Comparison:
 def _compared(session: Session, pipeline: Pipeline, compiled: bool | None) -> _Comparison:
     """Decisions of a new `pipeline` beside the log."""
     changes = gain_changes(session)
-    loops = None if changes else compiled_loops(session, pipeline.estimator, pipeline.machine.controller, compiled)
+    loops = compiled_loops(session, pipeline.estimator, pipeline.machine.controller, compiled)
     if loops is not None:
-        found, replay = _Comparison(), loops.module.CompiledReplay(pipeline, loops.may_compile)
+        found, replay = _Comparison(), loops.module.CompiledReplay(pipeline, loops.may_compile, changes)
         for logged in _ticks(session):
             again = replay.decide(logged)
             if again is None:

@@ -215,9 +215,9 @@ def asked(monkeypatch):
     """How often a compiled loop was asked, and whether it might compile."""
     calls, replay = [], compiled_replay.CompiledReplay
 
-    def watched(pipeline, may_compile):
+    def watched(pipeline, may_compile, changes):
         calls.append(may_compile)
-        return replay(pipeline, may_compile)
+        return replay(pipeline, may_compile, changes)
 
     monkeypatch.setattr(compiled_replay, "CompiledReplay", watched)
     return calls

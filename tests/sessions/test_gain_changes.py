@@ -12,13 +12,18 @@ from inteco_abs.analysis import (
     alternative,
     continued,
     diff_sessions,
+    gain_changes,
     listed_changes,
+    replay_session,
     times_of_changes_ns,
     what_if,
 )
+from inteco_abs.analysis.compiled_replay import CompiledReplay
+from inteco_abs.analysis.replay import decisions
 from inteco_abs.config import load_config
 from inteco_abs.control import CONTROLLERS, GainChange, build_pipeline, control_check, gains_to_change
 from inteco_abs.errors import ConfigError
+from inteco_abs.format import TICK
 from inteco_abs.plugins import Controllers, Origin
 from inteco_abs.sessions import card_of, changes_among, read_session, recover_session, session_config, write_copy
 from inteco_abs.sessions.content import Parameters
@@ -114,6 +119,26 @@ def test_each_change_takes_effect_at_its_tick_and_is_recorded_with_it(small, rep
     ]
     assert session.metadata["result"]["card"].find('"reference_slip": null') > 0
     assert replayed(session).differing == 0
+
+
+@pytest.mark.parametrize("law", ["reaching-law", "boundary-layer"])
+def test_a_compiled_replay_makes_the_changes_with_the_bits_of_python(small, law):
+    changes = ("reference_slip=0.3@brake+#20", "reference_slip=0.1@brake2", "Mk=30@brake2+25ms", "Mk=3@#0", "Mq=0.5@#0")
+    session = small(*changes, law=law).session
+    config = session_config(session, ())
+    compiled = CompiledReplay(build_pipeline(config), True, gain_changes(session))
+    parts = [compiled.decide(session.ticks[first : first + 300]) for first in range(0, len(session.ticks), 300)]
+    again = decisions(session, build_pipeline(config))
+    for column in TICK.columns:
+        if column.role.value != "timing":
+            found = np.concatenate([part[column.name] for part in parts])
+            assert found.tobytes() == again[column.name].tobytes(), column.name
+    rest = tuple(part for part in session.parameters if not part.tick)
+    for name in ("nothing", "lag_s"):
+        other = replace(session, parameters=(*rest, Parameters(400, {name: 0.05})))
+        found = [replay_session(other, build_pipeline(config), compiled=way) for way in (True, False)]
+        assert found[0] == found[1]
+        assert found[0].differing > 0
 
 
 def test_another_record_of_a_change_is_a_difference_from_its_tick_on(small, replayed):
