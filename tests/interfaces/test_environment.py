@@ -84,7 +84,9 @@ def together(envs, actions, **reset):
     "choices",
     [
         {"population": "hard", "action": "torque", "longest_s": 0.4},
-        {"population": "slow", "run_up_from_rad_s": 179.0, "ticks_per_action": 7},
+        pytest.param(
+            {"population": "slow", "run_up_from_rad_s": 179.0, "ticks_per_action": 7}, marks=pytest.mark.long, id="slow"
+        ),
         *(
             pytest.param(
                 {"population": "rough", "settings": [f"estimator.name={name}"], "longest_s": 0.3},
