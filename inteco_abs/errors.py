@@ -202,7 +202,9 @@ def near_file(path: Path) -> str:
         return f"; there is no folder {path.parent}"
     except OSError:
         return ""
-    near = difflib.get_close_matches(path.name, names, n=1)
+    # all names of one folder have like suffixes: the rest must be alike, too
+    alike = [name for name in names if difflib.get_close_matches(path.stem, [name.rpartition(".")[0] or name])]
+    near = difflib.get_close_matches(path.name, alike, n=1)
     return f"; did you mean {path.with_name(near[0])}?" if near else ""
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import codecs
 import re
 import tomllib
 from collections.abc import Iterator
@@ -29,7 +28,7 @@ def read_toml(file: Path, if_missing: str) -> dict[str, Any]:
     problem = _problem_of(data)
     if problem:
         raise ConfigError.of(str(file), problem)
-    text = data.decode("utf-8")
+    text = data.decode("utf-8-sig")  # Notepad begins a file with a byte-order mark
     try:
         return tomllib.loads(text)
     except NOT_TOML as error:
@@ -42,7 +41,7 @@ def line_of(file: Path, path: str) -> int | None:
     The standard reader gives no lines, so each statement is read by itself.
     """
     section, statement, begun = "", "", 1
-    for number, line in enumerate(file.read_text(encoding="utf-8").split("\n"), 1):
+    for number, line in enumerate(file.read_text(encoding="utf-8-sig").split("\n"), 1):
         statement += f"{line}\n"
         try:
             names = list(_dotted(tomllib.loads(statement)))
@@ -109,8 +108,6 @@ def _problem_of(data: bytes) -> str:
     """Why `data` is not the text of a configuration; empty if it is."""
     if not data.strip():
         return "is empty; leave it out to have every default, or begin one with inteco-abs config init"
-    if data.startswith(codecs.BOM_UTF8):
-        return "begins with a byte-order mark; save it as UTF-8 without one"
     try:
         data.decode("utf-8")
     except UnicodeDecodeError as error:

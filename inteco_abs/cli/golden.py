@@ -26,6 +26,11 @@ def _folder_option(function: Callable[..., Any]) -> Callable[..., Any]:
     )(function)
 
 
+def _controller_option(function: Callable[..., Any]) -> Callable[..., Any]:
+    help_text = "Your own controller, named as in the run: file.py:Class."
+    return click.option("--controller", metavar="FILE:CLASS", help=help_text)(function)
+
+
 def _reason_option(function: Callable[..., Any]) -> Callable[..., Any]:
     return click.option("--reason", required=True, help="Reason, kept in the history.")(function)
 
@@ -51,6 +56,7 @@ def golden() -> None:
 @click.option(
     "--until", "until_s", type=Finite(unit="s"), metavar="SECONDS", help="Cut the copy this long after braking."
 )
+@_controller_option
 @_reason_option
 @_folder_option
 @json_option
@@ -59,6 +65,7 @@ def add(
     name: str | None,
     tolerances: tuple[str, ...],
     until_s: float | None,
+    controller: str | None,
     reason: str,
     folder: Path,
     as_json: bool,
@@ -73,16 +80,18 @@ def add(
 
     goldens = GoldenFolder(folder)
     session = read_whole(file, read_session)
-    kept = goldens.add(session, name or file.stem, reason, known_controllers(None), tolerances, until_s)
+    known = known_controllers(controller)
+    kept = goldens.add(session, name or file.stem, reason, known, tolerances, until_s)
     _report(goldens, kept, as_json=as_json)
     return 0
 
 
 @golden.command()
 @click.argument("names", nargs=-1)
+@_controller_option
 @_folder_option
 @json_option
-def test(names: tuple[str, ...], folder: Path, as_json: bool) -> int:
+def test(names: tuple[str, ...], controller: str | None, folder: Path, as_json: bool) -> int:
     """Replay golden sessions and report differences.
 
     Exit codes: 0 all decisions agree, 4 some differ, 1 a session cannot be used, 2 wrong usage.
@@ -91,7 +100,7 @@ def test(names: tuple[str, ...], folder: Path, as_json: bool) -> int:
 
     from inteco_abs.analysis import GoldenFolder
 
-    verdicts = GoldenFolder(folder).test(names, known_controllers(None))
+    verdicts = GoldenFolder(folder).test(names, known_controllers(controller))
     differing = [verdict.name for verdict in verdicts if verdict.replay and verdict.replay.differing]
     if as_json:
         print_json({"schema_version": 1, "differing": differing, "sessions": [asdict(verdict) for verdict in verdicts]})
@@ -103,10 +112,11 @@ def test(names: tuple[str, ...], folder: Path, as_json: bool) -> int:
 
 @golden.command()
 @click.argument("name")
+@_controller_option
 @_reason_option
 @_folder_option
 @json_option
-def update(name: str, reason: str, folder: Path, as_json: bool) -> int:
+def update(name: str, controller: str | None, reason: str, folder: Path, as_json: bool) -> int:
     """Accept the current decisions of a golden session.
 
     Its inputs stay, and the history keeps the reason.
@@ -116,7 +126,7 @@ def update(name: str, reason: str, folder: Path, as_json: bool) -> int:
     from inteco_abs.analysis import GoldenFolder
 
     goldens = GoldenFolder(folder)
-    _report(goldens, goldens.update(name, reason, known_controllers(None)), as_json=as_json)
+    _report(goldens, goldens.update(name, reason, known_controllers(controller)), as_json=as_json)
     return 0
 
 

@@ -31,6 +31,9 @@ def check_output(path: Path, option: str = "--out") -> None:
             problem = "exists already, and files are never overwritten; choose another name"
         elif not path.parent.is_dir():
             problem = f"the folder {path.parent} does not exist; create it first"
+        str(path).encode()
+    except UnicodeEncodeError:
+        path, problem = Path(os.fsencode(path).decode(errors="backslashreplace")), "is not UTF-8; choose another name"
     except OSError as error:  # not a valid file name
         problem = describe_disk(error)
     if problem:

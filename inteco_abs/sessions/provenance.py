@@ -27,7 +27,7 @@ def software_facts() -> dict[str, str]:
         "version": __version__,
         "python": platform.python_version(),
         **arithmetic_facts(),
-        "argv": " ".join(sys.argv),
+        "argv": " ".join(sys.argv).encode(errors="backslashreplace").decode(),  # file names may be any bytes
         **packages,
         **_git_facts(SOURCE_FOLDER),
     }
@@ -120,7 +120,9 @@ def _git(folder: Path, *words: str) -> str | None:
 
 
 def _git_facts(folder: Path) -> dict[str, str]:
-    status = _git(folder, "status", "--porcelain=v2", "--branch") if is_source_tree(folder) else None
+    # sessions and figures beside the program are no changes of it
+    program = (str(folder), str(folder.with_name("firmware_protocol")))
+    status = _git(folder, "status", "--porcelain=v2", "--branch", "--", *program) if is_source_tree(folder) else None
     if status is None:
         return {}
     heads = dict(line.removeprefix("# ").split(" ", 1) for line in status.splitlines() if line.startswith("# "))
