@@ -10,7 +10,7 @@ import pytest
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
 SCRIPT = Path(__file__).parents[2] / "tools" / "bench_loop"
-ROWS = ("C, sleeps", "C, spins too", "our loop alone", "our loop as shipped", "threads instead")
+ROWS = ("C, sleeps", "C, spins too", "our loop alone", "our loop as shipped", "threads instead", "shipped, slow disk")
 STAGES = ("exchange", "estimate", "decide", "guard", "make the tick", "pack", "loop", "whole tick", "floor")
 
 
