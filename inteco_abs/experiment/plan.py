@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import uuid
 from collections.abc import Callable, Iterator, Mapping
@@ -14,14 +15,17 @@ from typing import Final
 from inteco_abs.boards import check_address, check_kind, check_limits, simulated
 from inteco_abs.config import RigConfig
 from inteco_abs.control import CONTROLLERS, Controller
-from inteco_abs.errors import BoardError, ConfigError
+from inteco_abs.errors import ConfigError
 from inteco_abs.mock_board import BY_PROCESS, CLOCK_STEP, Fault, drawn_facts, require_possible
+from inteco_abs.posix import needs_linux, require_linux
 from inteco_abs.realtime import Job
 from inteco_abs.realtime.foxglove_server import require_foxglove
 from inteco_abs.sessions import check_spill, host_facts, profile_source, software_facts
 from inteco_abs.signals import Phase
 from inteco_abs.wire import check_recordable, check_target
 
+REAL_TIME: Final = "real time"
+"""Needs Linux."""
 _SPARE_S: Final = 2.0
 _LONGEST_RING_S: Final = 60.0
 """The ring has the latest ticks, the file older ones: a disk may stall for this time. A run without recorder ends in
@@ -76,7 +80,7 @@ def run_checks(config: RigConfig, plan: Plan) -> Iterator[Callable[[], object]]:
 def _check_time(config: RigConfig, plan: Plan) -> None:
     """Raise AbsError if the run is not possible in the requested virtual or real time."""
     if not plan.virtual:
-        require_linux()
+        require_linux(REAL_TIME, "use --virtual")
         _require_origin(config, plan)
     elif not simulated(plan.board):
         raise ConfigError.of("--virtual", f"{plan.board} is a real board, which runs in real time; omit --virtual")
@@ -88,6 +92,10 @@ def _check_faults(config: RigConfig, plan: Plan) -> None:
         impossible = dict.fromkeys(BY_PROCESS, "a run in virtual time has no such process; omit --virtual")
     else:
         impossible = {CLOCK_STEP: "the computer's real clock is not changed; add --virtual"}
+    if not sys.platform.startswith("linux"):
+        impossible["disk-full"] = needs_linux("a limit to another program's files")
+    if os.name == "nt":
+        impossible["file-gone"] = "Windows removes no file that is open"
     impossible["alarm"] = "a run does not read such flags; inteco-abs panel --inject shows them"
     require_possible(plan.faults, config.board.kind, impossible)
 
@@ -113,11 +121,6 @@ def _check_live(port: int, *, virtual: bool) -> None:
         problem = "a run in virtual time ends too soon to be viewed; omit one of the two"
         raise ConfigError.of("--foxglove", f"{problem}, or open the session file in the viewer")
     require_foxglove(port)
-
-
-def require_linux() -> None:
-    if not sys.platform.startswith("linux"):
-        raise BoardError(f"real time needs Linux, and this is {sys.platform}; use --virtual")
 
 
 def job_of(config: RigConfig, plan: Plan, facts: Mapping[str, Mapping[str, str]] = MappingProxyType({})) -> Job:

@@ -12,10 +12,11 @@ from typing import Final, NamedTuple
 from inteco_abs.boards import check_address, check_kind, check_limits, simulated
 from inteco_abs.config import RigConfig
 from inteco_abs.control import Gain
-from inteco_abs.experiment.plan import Plan, job_of, require_linux, require_mock_board, ring_ticks
+from inteco_abs.experiment.plan import REAL_TIME, Plan, job_of, require_mock_board, ring_ticks
 from inteco_abs.host import as_facts
 from inteco_abs.host.doctor import examine
 from inteco_abs.mock_board import ON_THE_HOST, Fault, require_possible
+from inteco_abs.posix import require_linux
 from inteco_abs.realtime import RunMemory, Screen, Tuner
 from inteco_abs.realtime.processes.manual import ONLY_WATCHED, ManualClient, slowed
 from inteco_abs.realtime.processes.supervisor import Supervisor
@@ -76,7 +77,7 @@ def measure_round_trips(config: RigConfig, board: str) -> RoundTrips:
     """
     check_address(board)
     check_kind(board, config)
-    require_linux()
+    require_linux(REAL_TIME)
     with processes(config, Plan(Path(), board, virtual=False), ring_ticks=1) as (_, supervisor):
         return RoundTrips(**supervisor.ask("trips"))
 
@@ -91,7 +92,7 @@ def manual_checks(
         yield partial(check_limits, board, config)
     if faults:
         yield partial(_check_manual_faults, config, board, faults)
-    yield require_linux
+    yield partial(require_linux, REAL_TIME)
 
 
 @contextmanager

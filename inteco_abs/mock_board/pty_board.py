@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import select
 import time
-import tty
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import Final
 
 from inteco_abs.errors import BoardError, describe_disk
 from inteco_abs.mock_board.frontend import Stream
+from inteco_abs.posix import require_posix, tty
 
 _CHUNK: Final = 4096
 _CATCH_UP_MS: Final = 1
@@ -31,6 +31,7 @@ class PtyServer:
     """
 
     def __init__(self, stream: Stream, link: Path | None = None) -> None:
+        require_posix("a mock board at a serial port", "serve it with --usbip")
         self.lost_bytes = 0
         """Bytes of answers that did not fit into the buffer."""
         self._stream = stream

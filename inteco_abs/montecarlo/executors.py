@@ -12,11 +12,9 @@ from queue import SimpleQueue
 from threading import Thread
 from typing import Any, Final, cast
 
-if sys.platform != "win32":
-    import resource
-
 from inteco_abs.entry_points import Registry, attribute, foreign_code
 from inteco_abs.errors import ConfigError, near_match
+from inteco_abs.posix import resource
 
 _OPTION: Final = "--executor"
 _LOOK_S: Final = 0.1

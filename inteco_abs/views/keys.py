@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 import select
 import signal
-import termios
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Final
+
+from inteco_abs.posix import TerminalError, termios
 
 STOPPING: Final = frozenset(b" qQ")
 _AT_ONCE: Final = 64
@@ -42,7 +43,7 @@ def pressed_keys(handle: Callable[[bytes], None], terminal: int = 0) -> Iterator
     try:
         keyboard = _Keyboard(terminal)
         keyboard.take()
-    except (OSError, termios.error):  # not a terminal, or closed
+    except (OSError, TerminalError):  # not a terminal, or closed
         yield False
         return
     leave, leaving = os.pipe()
@@ -54,7 +55,7 @@ def pressed_keys(handle: Callable[[bytes], None], terminal: int = 0) -> Iterator
         finally:
             os.write(leaving, b"\0")
             reader.join()
-            with suppress(OSError, termios.error):  # the terminal may be gone by now
+            with suppress(OSError, TerminalError):  # the terminal may be gone by now
                 keyboard.give_back()
             os.close(leave)
             os.close(leaving)
@@ -82,7 +83,7 @@ def _read(terminal: int, leave: int, handle: Callable[[bytes], None]) -> None:
 def _in_front(terminal: int) -> bool:
     """Whether this program is in the terminal's foreground."""
     try:
-        return os.tcgetpgrp(terminal) == os.getpgrp()
+        return hasattr(os, "tcgetpgrp") and os.tcgetpgrp(terminal) == os.getpgrp()
     except OSError:
         return False
 
@@ -122,7 +123,7 @@ class _Keyboard:
             return
 
         def again(*_: object) -> None:
-            with suppress(OSError, termios.error):
+            with suppress(OSError, TerminalError):
                 self.take()
 
         before = signal.signal(signal.SIGCONT, again)

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import errno
-import fcntl
-import grp
 import os
 import select
-import termios
 import time
 from contextlib import suppress
 from typing import Any, Final
@@ -18,6 +15,7 @@ from firmware_protocol.rtdac_usb import DUMMY
 from inteco_abs.boards.transports.links import Link
 from inteco_abs.boards.transports.serial_ports import describe_ports, ftdi_ports, set_latency_timer
 from inteco_abs.errors import BoardError, LinkError
+from inteco_abs.posix import TerminalError, fcntl, grp, require_posix, termios
 
 TIMEOUT_S: Final = 0.010
 """Time-out of an answer or a write: an exchange takes 2 or 3 ms (three full-speed packets, the last after a latency
@@ -69,7 +67,7 @@ class SerialLink(Link):
         if timeout_s == self._timeout_s:
             return
         self._timeout_s = timeout_s
-        with suppress(OSError, termios.error):  # it may be gone; the next call says so
+        with suppress(OSError, TerminalError):  # it may be gone; the next call says so
             self._port.timeout = timeout_s
 
     def prepare(self, length: int) -> None:  # noqa: ARG002  as below
@@ -121,6 +119,7 @@ class SerialLink(Link):
 
 def _open(path: str, timeout_s: float) -> Any:
     """Open pyserial's port, raw and exclusive. Raises BoardError."""
+    require_posix("a board at a serial port")
     port = None
     try:
         port = serial.Serial(path, timeout=timeout_s, write_timeout=timeout_s, exclusive=True)
@@ -128,14 +127,14 @@ def _open(path: str, timeout_s: float) -> Any:
         # this process has died
         if not os.path.realpath(path).startswith(_PSEUDO_TERMINALS):
             fcntl.ioctl(port.fileno(), termios.TIOCEXCL)
-    except (OSError, termios.error) as error:
+    except (OSError, TerminalError) as error:
         if port is not None:
             port.close()
         raise BoardError(f"{path} cannot be opened: {_why(path, error)}") from error
     return port
 
 
-def _why(path: str, error: OSError | termios.error) -> str:
+def _why(path: str, error: OSError | TerminalError) -> str:
     number = getattr(error, "errno", None)
     if number in {errno.ENOENT, errno.ENXIO, errno.ENODEV}:
         return f"there is no such port; {describe_ports(ftdi_ports())}"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import mmap
 import os
 from pathlib import Path
@@ -13,6 +12,7 @@ from firmware_protocol.registers import REGISTER_BYTES
 from firmware_protocol.rtdac_pci import BAR_BYTES, BAR_INDEX, DEVICE_ID, VENDOR_ID
 from inteco_abs.boards.transports.registers import Registers
 from inteco_abs.errors import BoardError, LinkError
+from inteco_abs.posix import fcntl, require_linux
 
 _IO, _MEMORY = 0x100, 0x200
 """Kinds of a base address register, in the third column of the file `resource` (linux/ioport.h)."""
@@ -39,6 +39,7 @@ class SysfsRegisters(Registers):
     """
 
     def __init__(self, address: str = "", root: Path = Path("/sys")) -> None:
+        require_linux("a board on the PCI bus")
         folder = find_pci_board(address, root)
         _require_enabled(folder)
         in_memory = _in_memory(folder)

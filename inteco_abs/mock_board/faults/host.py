@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import resource
 import signal
 import time
 from collections.abc import Callable
@@ -13,6 +12,7 @@ from typing import Self
 
 from inteco_abs.mock_board.faults.kinds import CLOCK_STEP, PROCESSES
 from inteco_abs.mock_board.faults.schedule import Schedule
+from inteco_abs.posix import resource
 
 
 class FaultyHost:

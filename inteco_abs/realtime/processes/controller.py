@@ -11,7 +11,6 @@ import json
 import math
 import os
 import pickle
-import resource
 import select
 import signal
 import struct
@@ -28,6 +27,7 @@ from typing import IO, Any, Final, cast
 from inteco_abs.control import CONTROLLERS, REFERENCE, Controller, Gain, Setup, demand_of, keeps_gain, set_gain
 from inteco_abs.errors import BoardError, ConfigError, ConfigIssue, ControllerError, describe_error
 from inteco_abs.plugins import FROM_FILE, LOADING_MOST_S, Controllers, late_files, load_controller, with_files
+from inteco_abs.posix import PIPE_BUF, resource
 from inteco_abs.quantities import quantities
 from inteco_abs.realtime.heartbeat import NO_MORE
 from inteco_abs.realtime.job import Job
@@ -56,7 +56,7 @@ _REPLY: Final = struct.Struct("<q7d")
 """Number of the request, demand."""
 _NUMBER: Final = struct.Struct("<q")
 """Minus the number of the failed request; the text of the error follows."""
-_MOST_BYTES: Final = select.PIPE_BUF
+_MOST_BYTES: Final = PIPE_BUF
 """Largest message in a run, which a pipe takes whole."""
 _NO_NUMBERS: Final = (0.0,) * 6
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import resource
 import sys
 import time
 import traceback
@@ -15,6 +14,7 @@ from inteco_abs.boards import Wrap, open_board, simulated
 from inteco_abs.control import Controller, build_pipeline, gains_in_force, gains_to_change
 from inteco_abs.errors import AbsError
 from inteco_abs.format import pack_tick
+from inteco_abs.posix import resource
 from inteco_abs.quantities import quantities
 from inteco_abs.realtime.clock import PacedClock
 from inteco_abs.realtime.failure_rules import LOOPS_WINDOW_NS
