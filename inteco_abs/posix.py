@@ -6,7 +6,6 @@ one whose every use raises BoardError.
 
 from __future__ import annotations
 
-import os
 import select
 import sys
 from importlib import import_module
@@ -45,7 +44,7 @@ def require_linux(what: str, instead: str = "") -> None:
 
 def require_posix(what: str, instead: str = "") -> None:
     """Raise BoardError on Windows, with what to do `instead`."""
-    if os.name != "posix":
+    if sys.platform == "win32":
         raise BoardError(needs_linux(what, instead))
 
 

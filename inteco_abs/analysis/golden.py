@@ -223,7 +223,7 @@ class GoldenFolder:
         table = self.path / TABLE_NAME
         draft = table.with_suffix(f".{os.getpid()}.part")
         try:
-            draft.write_text(text, encoding="utf-8")
+            draft.write_text(text, encoding="utf-8", newline="\n")
             part.replace(self.file(golden))
             draft.replace(table)
         except OSError as error:

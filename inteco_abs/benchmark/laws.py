@@ -101,7 +101,7 @@ def _law(table: Mapping[str, Any]) -> Law:
 def write_laws(laws: Iterable[Law], path: Path) -> None:
     """Write a file that `read_laws` reads."""
     with atomic_write(path) as part:
-        part.write_text("\n".join(map(_text, laws)), encoding="utf-8")
+        part.write_text("\n".join(map(_text, laws)), encoding="utf-8", newline="\n")
 
 
 def _text(law: Law) -> str:

@@ -65,7 +65,7 @@ def write_page(found: Mapping[str, Any], folder: Path) -> list[str]:
 
 def _write(path: Path, text: str) -> None:
     with atomic_write(path) as part:
-        part.write_text(text + "\n", encoding="utf-8")
+        part.write_text(text + "\n", encoding="utf-8", newline="\n")
 
 
 _Row = tuple[str, Mapping[str, Any], Mapping[str, Any]]

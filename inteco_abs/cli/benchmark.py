@@ -189,7 +189,7 @@ def _write(folder: Path, laws: Sequence[Law], found: Mapping[str, Any]) -> list[
     try:
         write_laws(laws, folder / "laws.toml")
         with atomic_write(folder / "results.json") as part:
-            part.write_text(json.dumps(found, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+            part.write_text(json.dumps(found, indent=1, allow_nan=False) + "\n", encoding="utf-8", newline="\n")
         pages = write_page(found, folder)
     except OSError as error:
         raise AbsError(f"{error.filename or folder}: cannot be written: {describe_disk(error)}") from error

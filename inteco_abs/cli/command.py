@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from importlib import import_module
+from io import TextIOWrapper
 from typing import Final
 
 import click
@@ -63,9 +64,17 @@ def _describe_system_error(error: OSError) -> str:
     return f"the output cannot be written: {error.strerror or error}"
 
 
+def _replace_missing_letters() -> None:
+    """Print ? for letters that the output's encoding does not have, as those of consoles of Windows."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper) and stream.errors == "strict":
+            stream.reconfigure(errors="replace")
+
+
 def main() -> None:
     """Entry point of the command: maps every way to end to its exit code, without a traceback."""
     debug = "--debug" in sys.argv
+    _replace_missing_letters()
     try:
         code = cli.main(prog_name="inteco-abs", standalone_mode=False)
     except click.ClickException as error:

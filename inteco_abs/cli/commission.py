@@ -16,6 +16,7 @@ import click
 from inteco_abs.cli.options import RunOptions, run_options
 from inteco_abs.cli.terminal import Terminal, say
 from inteco_abs.errors import AbsError, ConfigError
+from inteco_abs.posix import require_linux
 
 if TYPE_CHECKING:
     from inteco_abs.commissioning import Procedure, ProfileDraft, RigAccess
@@ -95,6 +96,8 @@ def commission(
     if dry_run:
         _print_steps(as_json=as_json)
         return 0
+    if not virtual:
+        require_linux("commissioning", "with a simulated board, add --virtual")
     if not quiet:
         _require_answers()
     if report is not None:

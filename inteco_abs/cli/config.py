@@ -32,7 +32,7 @@ def init(file: Path) -> int:
     check_output(file, "FILE")
     try:
         with atomic_write(file) as part:
-            part.write_text(template(CONTROLLERS), encoding="utf-8")
+            part.write_text(template(CONTROLLERS), encoding="utf-8", newline="\n")
     except OSError as error:
         raise AbsError(f"{file} cannot be written: {describe_disk(error)}") from error
     say(f"{file}: uncomment what differs on your rig, and use it with --config {file}", err=True)

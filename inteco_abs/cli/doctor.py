@@ -11,6 +11,7 @@ import click
 from inteco_abs.cli.options import FILE, LOSSES, Finite, json_option, shared_option
 from inteco_abs.cli.terminal import print_json, say, show
 from inteco_abs.errors import BoardError, ConfigError
+from inteco_abs.posix import require_linux
 
 if TYPE_CHECKING:
     from inteco_abs.host import CheckResult
@@ -68,6 +69,7 @@ def doctor(
         else:
             say(files[printed], nl=False)  # the text alone, for sudo tee
         return 0
+    require_linux("a loop in real time, for which doctor checks a computer,", "virtual runs and sessions need no check")
     if not SHORTEST_S <= seconds <= LONGEST_S:
         raise ConfigError.of("--seconds", f"{seconds:g}: must be {SHORTEST_S:g}..{LONGEST_S:g} s")
     if board is not None:

@@ -124,7 +124,7 @@ def _truth_file(name: str | None) -> Iterator[TextIO | None]:
         yield sys.stdout if name else None
         return
     try:
-        file = Path(name).open("w", encoding="utf-8")  # noqa: SIM115  closed below; what is raised inside is not ours
+        file = Path(name).open("w", encoding="utf-8", newline="\n")  # noqa: SIM115  closed below; what is raised inside is not ours
     except OSError as error:
         raise ConfigError.of("--truth", f"{name}: cannot be written: {describe_disk(error)}") from error
     with file:

@@ -95,7 +95,7 @@ def _write(found: Reproduction, report: Mapping[str, Any], folder: Path, command
         yield path
         write_csv([_flat(row) for row in report["rows"]], path := folder / "table.csv")
         yield path
-        (path := folder / "table.md").write_text(paper_markdown(report, command), encoding="utf-8")
+        (path := folder / "table.md").write_text(paper_markdown(report, command), encoding="utf-8", newline="\n")
         yield path
     except OSError as error:
         raise AbsError(f"{error.filename or folder}: cannot be written: {describe_disk(error)}") from error

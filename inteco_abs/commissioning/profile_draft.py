@@ -212,7 +212,7 @@ def _with_settings(table: Table, settings: Sequence[str]) -> Table:
 def _replace(file: Path, text: str) -> None:
     new = file.with_name(f".{file.name}.new")
     try:
-        with new.open("w", encoding="utf-8") as stream:
+        with new.open("w", encoding="utf-8", newline="\n") as stream:
             stream.write(text)
             stream.flush()
             os.fsync(stream.fileno())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import uuid
 from collections.abc import Callable, Iterator, Mapping
@@ -94,7 +93,7 @@ def _check_faults(config: RigConfig, plan: Plan) -> None:
         impossible = {CLOCK_STEP: "the computer's real clock is not changed; add --virtual"}
     if not sys.platform.startswith("linux"):
         impossible["disk-full"] = needs_linux("a limit to another program's files")
-    if os.name == "nt":
+    if sys.platform == "win32":
         impossible["file-gone"] = "Windows removes no file that is open"
     impossible["alarm"] = "a run does not read such flags; inteco-abs panel --inject shows them"
     require_possible(plan.faults, config.board.kind, impossible)

@@ -59,7 +59,7 @@ class SweepFolder:
             for folder in ("part", "failed"):
                 (path / folder).mkdir(parents=True, exist_ok=True)
             if not file.exists():
-                with atomic_write(file) as part, part.open("w", encoding="utf-8") as stream:
+                with atomic_write(file) as part, part.open("w", encoding="utf-8", newline="\n") as stream:
                     stream.write(plan.to_json())
                     stream.flush()
                     os.fsync(stream.fileno())
@@ -147,7 +147,7 @@ class SweepFolder:
         """List a unit that is given up."""
         text = json.dumps({**unit._asdict(), "problem": problem})
         with suppress(OSError), atomic_write(self._failure(unit)) as path:
-            path.write_text(text, encoding="utf-8")
+            path.write_text(text, encoding="utf-8", newline="\n")
 
     def failures(self) -> dict[str, str]:
         """Why units were given up that are still missing, by name. Raises AbsError for a damaged record."""

@@ -13,6 +13,7 @@ import select
 import shutil
 import stat
 import struct
+import sys
 import time
 import uuid
 from collections.abc import Callable, Iterator
@@ -387,6 +388,8 @@ def left_rings(folder: Path = FOLDER) -> Iterator[Path]:
 
     Removes memories without ticks to be kept. Reads only the first words of each, as a memory may be large.
     """
+    if sys.platform == "win32":  # there is no run in real time
+        return
     for path in sorted(folder.glob(f"{_PREFIX}*{SUFFIX}")):
         head = _head_of_own(path)
         if len(head) < _RINGS_AT + 8 or not head.startswith(_MAGIC):

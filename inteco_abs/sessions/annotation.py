@@ -43,7 +43,7 @@ def annotate(path: Path, changes: Mapping[str, str], by: str, at_utc: str) -> Me
         was = {key: before.get(key, "") for key in changes}
         entry = json.dumps({"by": by, "before": was})
         records = {DESCRIPTION: dict(changes), HISTORY: {at_utc: entry}}
-        with opened(path) as (file, size), atomic_write(path) as part, part.open("xb") as copy:
+        with atomic_write(path) as part, opened(path) as (file, size), part.open("xb") as copy:
             _copy(file, size, copy, records)
             copy.flush()
             os.fsync(copy.fileno())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import sys
 import time
 from contextlib import suppress
 from io import FileIO
@@ -121,12 +122,12 @@ class _Syncing:
             return found
 
     def close(self) -> None:
-        """End the thread; wait for it unless it waits for the disk."""
+        """End the thread; wait for it unless it waits for the disk, on Windows always."""
         with self._change:
             self._closed = True
             idle = self._done == self._asked
             self._change.notify_all()
-        if idle:
+        if idle or sys.platform == "win32":  # which renames no file that is open
             self._thread.join()
 
     def _run(self) -> None:

@@ -133,7 +133,7 @@ def _csvw(names: list[str], path: Path, group: list[Table], session: Session) ->
         "tables": described,
         "schema:additionalProperty": [{"schema:name": key, "schema:value": value} for key, value in facts.items()],
     }
-    path.write_text(json.dumps(content, indent=1), encoding="utf-8")
+    path.write_text(json.dumps(content, indent=1), encoding="utf-8", newline="\n")
 
 
 def _csvw_column(table: Table, name: str) -> dict[str, str]:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import secrets
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -14,6 +16,9 @@ from inteco_abs.errors import ConfigError, SessionError, describe_disk
 
 _PART: Final = ".part"
 _BLOCK: Final = 1 << 20
+_DEVICES: Final = re.compile("(?i)con|prn|aux|nul|conin[$]|conout[$]|(com|lpt)[0-9¹²³]")
+_LETTERS: Final = frozenset('<>:"|?*')
+"""Windows: names of devices, with any suffix; letters that no name of a file has."""
 _WRONG_NAME: Final = (errno.EEXIST, errno.ENOTDIR, errno.ENAMETOOLONG, errno.EINVAL, errno.EILSEQ)
 """Errors that come from a folder's name, not from the disk."""
 
@@ -25,7 +30,9 @@ def check_output(path: Path, option: str = "--out") -> None:
     """
     problem = ""
     try:
-        if path.is_dir():
+        if sys.platform == "win32" and _kept_by_windows(path.name):
+            problem = "Windows has no such file names; choose another"
+        elif path.is_dir():
             problem = "is a folder; name a file in it"
         elif path.exists():
             problem = "exists already, and files are never overwritten; choose another name"
@@ -40,6 +47,12 @@ def check_output(path: Path, option: str = "--out") -> None:
         raise ConfigError.of(option, f"{path}: {problem}")
     if not os.access(path.parent, os.W_OK):
         raise SessionError(f"{path} cannot be created: the folder {path.parent} cannot be written to; name another")
+
+
+def _kept_by_windows(name: str) -> bool:
+    """Whether it names a device, such as con.mcap, or has a letter that names of files do not have there."""
+    device = _DEVICES.fullmatch(name.partition(".")[0].rstrip(" "))
+    return device is not None or not _LETTERS.isdisjoint(name) or name.endswith((".", " "))
 
 
 @contextmanager

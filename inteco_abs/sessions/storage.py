@@ -27,6 +27,7 @@ class RowsOnDisk:
         """Add rows. Raises SessionError if the disk is full, as all methods do if it fails."""
         rest = memoryview(data)
         try:
+            self._file.seek(0, os.SEEK_END)
             while rest:
                 rest = rest[self._file.write(rest) :]
         except OSError as error:
@@ -44,7 +45,7 @@ class RowsOnDisk:
         """All rows in blocks of `size` bytes, the last one shorter."""
         at = 0
         try:
-            while block := os.pread(self._file.fileno(), size, at):
+            while self._file.seek(at) == at and (block := self._file.read(size)):
                 yield block
                 at += len(block)
         except OSError as error:

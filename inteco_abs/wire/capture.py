@@ -119,7 +119,7 @@ def write_capture(path: Path, capture: Capture) -> None:
     }
     part = _part(path)
     try:
-        file = part.open("x", encoding="utf-8")  # truncates no file, follows no link
+        file = part.open("x", encoding="utf-8", newline="\n")  # truncates no file, follows no link
     except OSError as error:
         raise CaptureError(f"{path}: the capture cannot be written: {part.name}: {describe_disk(error)}") from error
     try:

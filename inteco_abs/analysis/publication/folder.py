@@ -121,12 +121,12 @@ def _write(sessions: dict[str, Session], folder: Path, described: Description, *
         "datacite.json": described.datacite(),
     }
     for name, text in texts.items():
-        (folder / name).write_text(text, encoding="utf-8")
+        (folder / name).write_text(text, encoding="utf-8", newline="\n")
     sums = {each.relative_to(folder).as_posix(): (_sha256(each), each.stat().st_size) for each in _below(folder)}
-    (folder / "ro-crate-metadata.json").write_text(described.crate(sums), encoding="utf-8")
+    (folder / "ro-crate-metadata.json").write_text(described.crate(sums), encoding="utf-8", newline="\n")
     sums["ro-crate-metadata.json"] = (_sha256(folder / "ro-crate-metadata.json"), 0)
     lines = (f"{digest}  {name}\n" for name, (digest, _) in sorted(sums.items()))
-    (folder / _SUMS).write_text("".join(lines), encoding="utf-8")
+    (folder / _SUMS).write_text("".join(lines), encoding="utf-8", newline="\n")
 
 
 def _write_rows(rows: Sequence[dict[str, Any]], path: Path) -> None:

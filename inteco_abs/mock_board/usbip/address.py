@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from inteco_abs.errors import BoardError, ConfigError, ConfigIssue
+from inteco_abs.posix import require_posix
 
 USBIP_PORT: Final = 3240
 """Default port of the `usbip` command."""
@@ -41,6 +42,7 @@ class UnixAddress(NamedTuple):
 
     def listen(self) -> socket.socket:
         """Return a listening socket. Raises BoardError."""
+        require_posix("a Unix socket", "serve it at HOST:PORT")
         listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             listener.bind(str(self.path))

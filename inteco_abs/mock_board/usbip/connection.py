@@ -24,7 +24,7 @@ class Connection:
         self._unsent = bytearray()
         self._lock = threading.Lock()
         peer.setblocking(False)
-        if peer.family != socket.AF_UNIX:
+        if peer.family in {socket.AF_INET, socket.AF_INET6}:
             peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             peer.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
             for name, value in _KEEPALIVE:
