@@ -67,7 +67,7 @@ def _describe_system_error(error: OSError) -> str:
 def _replace_missing_letters() -> None:
     """Print ? for letters that the output's encoding does not have, as those of consoles of Windows."""
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper) and stream.errors == "strict":
+        if isinstance(stream, TextIOWrapper) and stream.errors in {"strict", "surrogateescape"}:
             stream.reconfigure(errors="replace")
 
 

@@ -66,7 +66,7 @@ BEFORE = (
 
 
 def pretend(system):
-    for name in BEFORE:
+    for name in (*BEFORE, *(["numba"] if '"sweep"' in sys.argv[3] else [])):
         importlib.import_module(name)
     sysconfig.get_config_vars()
     platform.platform()
