@@ -119,7 +119,7 @@ class Identification(Shown):
         out = Path(path)
         check_parameter_file(out)
         try:
-            out.write_text(self.to_toml(), encoding="utf-8")
+            out.write_text(self.to_toml(), encoding="utf-8", newline="\n")
         except OSError as error:
             raise AbsError(f"{out}: the parameters cannot be written: {describe_disk(error)}") from error
         return out
