@@ -117,7 +117,7 @@ def test_a_first_generation_board_is_imported_by_its_protocol(inteco_abs, tmp_pa
 
 
 WRONG = [
-    (["import", "none.pcap", "-o", "y.jsonl"], 1, ["none.pcap", "No such file", "did you mean two.pcap?"]),
+    (["import", "none.pcap", "-o", "y.jsonl"], 1, ["none.pcap", "No such file", "name a capture of Wireshark"]),
     (["import", "notes.txt", "-o", "y.jsonl"], 1, ["notes.txt", "not a pcap or pcapng file"]),
     (["import", "two.pcap", "-o", "y.jsonl"], 1, ["1.5, 2.7", "--device"]),
     (["import", "two.pcap", "-o", "notes.txt"], 1, ["notes.txt", "never overwritten"]),

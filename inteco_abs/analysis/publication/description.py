@@ -91,7 +91,7 @@ class Description(NamedTuple):
             if each.get("operator")
         ]
         if not found:
-            raise ConfigError.of("--author", "nobody is known; give --author, or annotate a session with --operator")
+            raise ConfigError.of("--author", "no author is known; give --author, or annotate a session with --operator")
         licences = dict.fromkeys(filter(None, [licence])) or _values(facts, "licence")
         if len(licences) != 1:
             known = f"the sessions have {' and '.join(licences)}; choose one" if licences else "no session has one"

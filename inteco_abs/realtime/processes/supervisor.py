@@ -298,7 +298,7 @@ class Supervisor:
         _gone_within(recorder, _END_S if silent else _FINISH_S)
         result = memory.note(Mailbox.RESULT)
         if result is not None:
-            return RunResult(**result | {"reason": Reason(result["reason"])})
+            return RunResult(**result | {"reason": Reason(result["reason"]), "not_made": tuple(result["not_made"])})
         failure = memory.note(Mailbox.RECORDER_FAILURE)
         if recorder.poll() is None:
             recorder.kill()
