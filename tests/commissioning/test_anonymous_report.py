@@ -120,7 +120,8 @@ def test_what_was_seen_is_in_it(lab, reported):
     assert images[1] != images[2] != images[3]
 
 
-names = st.text(st.characters(codec="utf-8", categories=["L"]), min_size=4, max_size=30)
+names = st.text(st.characters(codec="utf-8", categories=["L"]), min_size=4, max_size=30).map("qx{}xq".format)
+"""No part of a word that the report has of its own, as `uppe` is."""
 serials = st.from_regex(r"[A-Z]?[0-9]{4,9}", fullmatch=True)
 
 
