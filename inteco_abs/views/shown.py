@@ -40,7 +40,10 @@ class Shown(ABC):
 
 def html_of(*renderables: RenderableType) -> str:
     """What rich prints, as HTML."""
-    console = Console(record=True, file=io.StringIO(), width=_COLUMNS, markup=False, highlight=False)
+    # in a notebook, rich would show it by itself, too
+    console = Console(
+        record=True, file=io.StringIO(), width=_COLUMNS, markup=False, highlight=False, force_jupyter=False
+    )
     console.print(*renderables, sep="\n")
     return console.export_html(inline_styles=True, code_format=_BLOCK)
 
