@@ -28,7 +28,7 @@ NAMES = {
             "getpgid getpgrp getpriority getsid getuid killpg lockf major memfd_create minor mkfifo nice "
             "openpty pidfd_open posix_fadvise posix_fallocate pread preadv pwrite pwritev readv "
             "register_at_fork sched_getaffinity sched_getscheduler sched_setaffinity sched_setscheduler "
-            "sched_yield sendfile setpgid setpriority setsid splice statvfs sync sysconf tcgetpgrp tcsetpgrp "
+            "sched_yield setpgid setpriority setsid splice statvfs sync sysconf tcgetpgrp tcsetpgrp "
             "ttyname uname wait wait3 wait4 waitid writev"
         ),
         "select": "PIPE_BUF POLLIN POLLOUT epoll poll",
