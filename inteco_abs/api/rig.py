@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from inteco_abs.api.arguments import speaks_of_arguments
-from inteco_abs.api.configuration import chosen_settings, require_whole, run_config, setting_lines
+from inteco_abs.api.configuration import as_list, chosen_settings, require_whole, run_config, setting_lines
 from inteco_abs.api.controllers import known_controllers, name_of
 from inteco_abs.api.session import Session, open_session
 from inteco_abs.boards import check_kind, simulated
@@ -21,7 +21,7 @@ from inteco_abs.errors import AbsError, ConfigError
 from inteco_abs.experiment import Plan, replay_problem
 from inteco_abs.experiment import run_stop as run_experiment
 from inteco_abs.mock_board import parse_faults
-from inteco_abs.sessions import ensured_directory
+from inteco_abs.sessions import check_session_file, ensured_directory
 
 if TYPE_CHECKING:
     from inteco_abs.config import RigConfig
@@ -78,7 +78,7 @@ class Rig:
         """
         chosen = chosen_settings(settings, gains, None, estimator)
         if changes:
-            chosen["experiment.changes"] = list(changes)
+            chosen["experiment.changes"] = as_list(changes)
         config = self.config(controller, **chosen)
         known = known_controllers(controller)
         origin = known.origin(config.controller.name)
@@ -88,9 +88,10 @@ class Rig:
             raise ConfigError.of("--controller", problem)
         require_whole("--seed", seed, 0, (1 << 64) - 1)
         path = Path(out) if out is not None else _default_out()
+        check_session_file(path)
         plan = Plan(
             path, self.board, virtual, seed, known, origin.source, controller_package=origin.package,
-            faults=parse_faults(tuple(faults)),
+            faults=parse_faults(as_list(faults)),
         )  # fmt: skip
         problem = replay_problem(config, plan, run_experiment(config, plan, tuner=tuner))
         if problem:

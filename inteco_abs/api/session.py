@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -53,7 +54,7 @@ class Session(sessions.Session):
 
         Speeds are in rad/s, torque in N m, time in s. `width` is `one` or `two` columns of a journal. A notebook shows
         the figure; `savefig` writes it. Raises AbsError if a run never braked, or without matplotlib, and ConfigError
-        for more sessions than can be told apart.
+        for more sessions than it has colours for.
         """
         from inteco_abs.views.figure import figure_of
 
@@ -104,6 +105,9 @@ class Session(sessions.Session):
         """
         from inteco_abs.api.what_if import alternatives_to, grid_of
 
+        for name, value in (("--duty", duty), ("--torque", torque_nm)):
+            if not 0.0 <= value < math.inf:
+                raise ConfigError.of(name, f"{value!r}: must be a number of 0 or more")
         recorded = controller == RECORDED
         controllers = controllers_of(self, RECORDED)[0] if recorded else known_controllers(controller)
         named = None if controller is None or recorded else name_of(controller)

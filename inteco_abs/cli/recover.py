@@ -7,7 +7,6 @@ from pathlib import Path
 import click
 
 from inteco_abs.cli.options import FILE, LOSSES, json_option
-from inteco_abs.cli.session_files import check_session_file
 from inteco_abs.cli.terminal import plain, print_card, print_json, say
 
 
@@ -22,6 +21,7 @@ def recover(file: Path, out: Path, as_json: bool) -> int:
     A damaged file gives every tick of every chunk with a correct checksum. Ends with 3 if something was lost.
     """
     from inteco_abs.realtime import is_ring
+    from inteco_abs.sessions import check_session_file
 
     check_session_file(out)
     return _recover_ring(file, out, as_json) if is_ring(file) else _recover_file(file, out, as_json)

@@ -15,7 +15,7 @@ import click
 from inteco_abs.cli.dry_run import Condition, Planned, check_start, dry_run_option, refuse_start
 from inteco_abs.cli.options import FILE, INTERRUPTED, RunOptions, json_option, require_different, run_options
 from inteco_abs.cli.screens import screen_of
-from inteco_abs.cli.session_files import check_session_file, draw
+from inteco_abs.cli.session_files import draw
 from inteco_abs.cli.terminal import print_card, print_json, say
 from inteco_abs.errors import AbsError, ConfigError
 
@@ -143,6 +143,7 @@ def _drawn(stop: RunResult, figure: Path | None) -> int:
 
 def _places(out: Path | None, figure: Path | None, wire: Path | None) -> Iterator[Condition]:
     """Conditions on the files that were named."""
+    from inteco_abs.sessions import check_session_file
     from inteco_abs.views.figure import check_figure
 
     if figure is not None:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from inteco_abs.cli.terminal import plain, say
-from inteco_abs.errors import ConfigError
 
 if TYPE_CHECKING:
     from inteco_abs.sessions import Session
@@ -39,12 +38,3 @@ def draw(files: Sequence[Path], out: Path, width: str = "two") -> bool:
     draw_stops(sessions, out, width)
     say(f"figure: {out}", err=True)
     return not any(session.incomplete or session.unsupported for session in sessions)
-
-
-def check_session_file(out: Path) -> None:
-    """Raise ConfigError for a path where no new session can be written, or where `list` would not find it."""
-    from inteco_abs.sessions import check_output
-
-    check_output(out)
-    if out.suffix != ".mcap":
-        raise ConfigError.of("--out", f"{out}: must end in .mcap, by which sessions are found")

@@ -55,6 +55,13 @@ def _kept_by_windows(name: str) -> bool:
     return device is not None or not _LETTERS.isdisjoint(name) or name.endswith((".", " "))
 
 
+def check_session_file(out: Path) -> None:
+    """Raise ConfigError for a path where no new session can be written, or where `list` would not find it."""
+    check_output(out)
+    if out.suffix != ".mcap":
+        raise ConfigError.of("--out", f"{out}: must end in .mcap, by which sessions are found")
+
+
 @contextmanager
 def ensured_directory(folder: Path, option: str = "--out", *, new: bool = False) -> Iterator[None]:
     """Make `folder` and its parents if they are missing; remove those that are still empty at the end.

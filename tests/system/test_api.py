@@ -158,6 +158,8 @@ def test_without_a_name_the_session_lands_in_the_sessions_folder(rig, tmp_path, 
         (lambda: inteco_abs.connect().run_stop("law.py"), ConfigError, "controller: law.py: name the class too"),
         (lambda: inteco_abs.connect().run_stop(seed=-1), ConfigError, "seed: -1: must be a whole number in 0"),
         (lambda: inteco_abs.connect().run_stop(faults=["vanish"]), ConfigError, "  faults"),
+        (lambda: inteco_abs.connect().run_stop(faults="vanish@brake"), ConfigError, "  faults: 'vanish@brake'"),
+        (lambda: inteco_abs.connect().run_stop(out="stop.txt"), ConfigError, "out: stop.txt: must end in .mcap"),
         (lambda: inteco_abs.connect("usb2:", rig="hard:1"), ConfigError, "rig: usb2:: a real board has its own rig"),
         (lambda: inteco_abs.sweep(rigs="hrd:0-9"), ConfigError, "the call has a mistake.*\n  rigs: no population"),
         (lambda: inteco_abs.sweep(Bang), ConfigError, "controllers: .*write it to one"),
@@ -192,6 +194,8 @@ def test_mistakes_are_reported_in_the_words_of_the_call(wrong, error, words, tmp
         (lambda stop: stop.what_if(gains={"Mk": range(1, 200)}), "gains: 199 alternatives: must be at most 100"),
         (lambda stop: stop.what_if("quantum"), "quantum"),
         (lambda stop: stop.what_if(gains={"Mk": [1, 2, 3, 4, 5, 6, 7, 8]}).plot(), "a figure shows at most 7"),
+        (lambda stop: stop.what_if(gains={"Mk": 3}, duty=-1), "duty: -1: must be a number of 0 or more"),
+        (lambda stop: stop.what_if(gains={"Mk": 3}, torque_nm=float("nan")), "torque_nm: nan: must be a number"),
         (lambda stop: stop.diff(stop, sections=["gain"]), "sections: no section 'gain'; did you mean gains"),
         (lambda stop: stop.diff(stop, rel=2), "rel: 2: must be a number in 0..1"),
         (lambda stop: stop.export(), "form: missing: name csv"),
@@ -209,6 +213,13 @@ def test_mistakes_with_a_session_name_the_argument(stop, wrong, words, tmp_path,
         wrong(stop)
     assert "--" not in str(raised.value)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_notebook_shows_a_result_once(stop, monkeypatch):
+    """In a notebook, rich displays by itself what a console of its prints."""
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
+    monkeypatch.setattr("rich.jupyter.display", lambda *_shown: pytest.fail("it is displayed twice"))
+    assert "Mk=3" in stop.what_if(gains={"Mk": 3})._repr_html_()
 
 
 def test_other_gains_are_asked_on_the_log(stop, main_here):
