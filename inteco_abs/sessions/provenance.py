@@ -120,7 +120,7 @@ def _git(folder: Path, *words: str) -> str | None:
 
 
 def _git_facts(folder: Path) -> dict[str, str]:
-    # sessions and figures beside the program are no changes of it
+    # sessions and figures beside the program do not change it
     program = (str(folder), str(folder.with_name("firmware_protocol")))
     status = _git(folder, "status", "--porcelain=v2", "--branch", "--", *program) if is_source_tree(folder) else None
     if status is None:
