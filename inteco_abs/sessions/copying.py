@@ -15,7 +15,7 @@ from inteco_abs.sessions.content import LogEntry, changes_among
 from inteco_abs.sessions.file_writer import FileWriter
 from inteco_abs.sessions.frames import packed_frames, read_frames
 from inteco_abs.sessions.reader import Session
-from inteco_abs.sessions.rows import Part
+from inteco_abs.sessions.rows import Array, Part
 
 _REWRITTEN: Final = ("result", "integrity")
 _KNOWN: Final = ("outcome", "reason", "ticks", "overruns", "lost_ticks", "ended_utc", "session_id", "started_utc")
@@ -57,27 +57,30 @@ def write_copy(
             recorder.attach(name, session.media_types.get(name, ""), data)
         recorder.begin(next((part.values for part in session.parameters if not part.tick), {}))
         recorder.change(changes_among(session.parameters))
-        for part in _with_log(chain([(first, states)], parts), log, session.epoch_ns):
-            if isinstance(part, LogEntry):
-                recorder.event(*part)
-            else:
-                recorder.truths(part[1].tobytes())
-                recorder.ticks(part[0].tobytes())
+        for _ in copy_rows(recorder, chain([(first, states)], parts), log, session.epoch_ns):
+            pass
         if frames and session.frames:
             capture = read_frames(session.path)
             recorder.frames(session.channels[IO_TOPIC], packed_frames(capture, capture.records))
         recorder.finish(facts.get("outcome", ""), facts.get("reason", ""), card, facts.get("ended_utc", ""))
 
 
-def _with_log(blocks: Iterable[Part], log: Iterable[LogEntry], epoch_ns: int) -> Iterator[Part | LogEntry]:
-    """The blocks, divided where an entry of the log comes."""
+def copy_rows(recorder: FileWriter, blocks: Iterable[Part], log: Iterable[LogEntry], epoch_ns: int) -> Iterator[Part]:
+    """Write blocks of ticks and truths, and each entry of the log after the ticks before it; yield what was written."""
     waiting = sorted(log, reverse=True)
+
+    def write(ticks: Array, truths: Array) -> Part:
+        recorder.truths(truths.tobytes())
+        recorder.ticks(ticks.tobytes())
+        return ticks, truths
+
     for ticks, states in blocks:
         while waiting and len(ticks) and waiting[-1].unix_ns - epoch_ns <= int(ticks["time_ns"][-1]):
             now_ns = np.uint64(max(0, waiting[-1].unix_ns - epoch_ns))
             tick, state = (int(rows["time_ns"].searchsorted(now_ns, side="right")) for rows in (ticks, states))
-            yield ticks[:tick], states[:state]
-            yield waiting.pop()
+            yield write(ticks[:tick], states[:state])
+            recorder.event(*waiting.pop())
             ticks, states = ticks[tick:], states[state:]  # noqa: PLW2901  the rest of the block
-        yield ticks, states
-    yield from reversed(waiting)
+        yield write(ticks, states)
+    for entry in reversed(waiting):
+        recorder.event(*entry)

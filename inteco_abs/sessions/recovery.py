@@ -29,6 +29,7 @@ from inteco_abs.sessions.container import (
     kind,
 )
 from inteco_abs.sessions.content import CONFIG_NAME, FLAT, RECOVERED, Batch, Content, changes_among
+from inteco_abs.sessions.copying import copy_rows
 from inteco_abs.sessions.file_writer import FileWriter, utc
 from inteco_abs.sessions.files import atomic_write, check_output
 from inteco_abs.sessions.migration import MessageLayout, migrated
@@ -326,20 +327,15 @@ class _RecoveredSession:
         return found
 
     def _copy(self, recorder: FileWriter) -> RunningCard:
-        """Copy ticks in blocks, each after the log entries of its time and before its truths; return their card."""
-        log, card = sorted(self._content.events, reverse=True), RunningCard(self._config())
-        (end, _), none = self._ticks.newest, (TICK.array(b""), TRUTH.array(b""))
+        """Copy the rows in blocks, with the log; return their card."""
+        card, none = RunningCard(self._config()), (TICK.array(b""), TRUTH.array(b""))
         parts = zip_longest(self._ticks.blocks(), self._truths.blocks())
         known = (
             (none[0] if ticks is None else ticks, none[1] if truths is None else truths) for ticks, truths in parts
         )
-        for block, states in in_step(known, _BLOCK_TICKS, self._truths.count):
-            until_ns = self._epoch_ns + int(block["time_ns"][-1])
-            while log and (block["tick"][-1] == end or log[-1].unix_ns <= until_ns):
-                recorder.event(*log.pop())
-            recorder.ticks(block.tobytes())
-            recorder.truths(states.tobytes())
-            card.add(block, states)
+        blocks = in_step(known, _BLOCK_TICKS, self._truths.count)
+        for block in copy_rows(recorder, blocks, self._content.events, self._epoch_ns):
+            card.add(*block)
         return card
 
     def _copy_frames(self, recorder: FileWriter) -> None:
