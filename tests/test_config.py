@@ -183,6 +183,14 @@ def test_any_valid_configuration_survives_its_text(brake_limit, window_s, start,
     assert_survives(config)
 
 
+def test_a_stored_configuration_without_a_newer_key_decides_as_before_it():
+    table = tomllib.loads(load_config().to_toml())
+    assert (table["guard"].pop("run_up_factor"), table["estimator"].pop("longest_dead_time_s")) == (1.5, 0.2)
+    older = parse_config(tomli_w.dumps(table))
+    assert (older.guard.run_up_factor, older.estimator.longest_dead_time_s) == (None, 0.06)
+    assert_survives(older)
+
+
 def test_a_stored_configuration_does_not_depend_on_a_profile_file(tmp_path):
     profile = tmp_path / "lab.toml"
     profile.write_text('[board]\nlogic_version = 7\napplication_names = ["MYRIG"]\n', encoding="utf-8")

@@ -140,9 +140,11 @@ def trusted_config(text: str) -> RigConfig:
 
 def _stored(text: str) -> Table:
     table = tomllib.loads(text)
-    guard = table.setdefault("guard", {})
-    if isinstance(guard, dict):
-        guard.setdefault("run_up_factor", None)  # a session older than this check is replayed without it
+    older = (("guard", "run_up_factor", None), ("estimator", "longest_dead_time_s", 0.06))
+    for name, key, before in older:  # a session older than the key is replayed as it was
+        section = table.setdefault(name, {})
+        if isinstance(section, dict):
+            section.setdefault(key, before)
     return table
 
 

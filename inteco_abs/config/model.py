@@ -232,7 +232,8 @@ class IdentifiedConfig(Section):
     brake_torques_nm: Annotated[list[Annotated[float, Interval(ge=0.0, le=100.0)]], MinLen(2)] | None = None
     """Torque that the brake settles to at each of them, rising."""
     brake_dead_time_s: Annotated[float, Interval(ge=0.0, le=0.2)] | None = None
-    """Dead time of the brake, for the observer, which limits it to 2 to 30 ms; `adaptive-observer` to 2 to 60 ms."""
+    """Dead time of the brake, for the observer, which limits it to 2 to 30 ms; `adaptive-observer` to 2 ms to
+    its `longest_dead_time_s`."""
     brake_release_ratio: Annotated[float, Interval(ge=0.3, le=4.0)] | None = None
     """Lag of the brake in releasing over that in rising, for the observers and `design`."""
     brake_release_delay_s: Annotated[float, Interval(ge=-0.2, le=0.2)] | None = None
@@ -294,6 +295,8 @@ class EstimatorConfig(Section):
     """Natural frequency of the tracking loop; at most a tenth of the loop's rate."""
     jerk_density: Annotated[float, Interval(gt=0.0, le=1e12)] = 3e5
     """Density of the white jerk that the Kalman filter assumes, rad2/s5: less is smoother and slower."""
+    longest_dead_time_s: Annotated[float, Interval(ge=0.01, le=0.2)] = 0.2
+    """Longest dead time of the brake that `adaptive-observer` takes for possible."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

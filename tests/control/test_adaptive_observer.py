@@ -63,12 +63,22 @@ def test_a_disc_that_errs_twice_per_turn_is_learnt(rolling):
     assert abs(run.observer.road.cosine_2) < 0.1 * per_count
 
 
-@pytest.mark.parametrize("dead_time_s", [0.02, 0.035, 0.05])
+@pytest.mark.parametrize("dead_time_s", [0.02, 0.035, 0.05, 0.15])
 def test_a_dead_time_far_from_the_expected_one_is_found_by_its_onset(rolling, dead_time_s):
     run = driven(rolling, RigVariation(brake_dead_time_s=dead_time_s, brake_map="measured"))
     for _ in range(round((dead_time_s + 0.04) * 2000)):
         seen = run.tick(lambda _seen: Command(0.0, 0.7))
     assert seen.outlook.brake_dead_time_s == pytest.approx(dead_time_s, abs=0.012)
+
+
+def test_no_dead_time_is_longer_than_the_longest_that_is_taken_for_possible(rolling):
+    config = replace(CONFIG, estimator=replace(CONFIG.estimator, longest_dead_time_s=0.06))
+    rig = RigVariation(brake_dead_time_s=0.1, brake_map="measured")
+    run = rolling(rig, 120.0, observer=make_estimator(config))
+    for ticks, command in ((1200, DRIVE), (280, Command(0.0, 0.7))):
+        for _ in range(ticks):
+            seen = run.tick(lambda _seen, command=command: command)
+    assert seen.outlook.brake_dead_time_s <= 0.06
 
 
 @pytest.mark.parametrize("dead_time_s", [0.0, 0.005])

@@ -30,7 +30,7 @@ from inteco_abs.control.estimators.eccentricity import (
     straight,
 )
 from inteco_abs.control.estimators.prediction import DelayLine, DelayState, arrived, braking_slip, outlook, tell
-from inteco_abs.control.estimators.registry import EstimatorSpec
+from inteco_abs.control.estimators.registry import EstimatorSpec, parameter
 from inteco_abs.control.functions import Function
 from inteco_abs.control.wheel_dynamics import WheelDynamics
 from inteco_abs.rig import MEASURED_MAP, BrakeMap, RigParameters, nominal_brake_map
@@ -46,8 +46,8 @@ _LONGEST_GAP_S: Final = 0.2
 """After a longer gap the state is worthless, and catching up would take longer than a period."""
 _SAMPLES: Final = 3
 """Samples until there is a speed."""
-_LATEST_ONSET_S: Final = 0.07
-"""Time after the first command after which the brake acts for certain."""
+_ONSET_SHOWN_S: Final = 0.01
+"""Time after the longest dead time after which a brake acts for certain."""
 _DEPARTED: Final = 0.5
 """Mean deviation from rolling, in standard deviations, at which it acts."""
 _NOTICED_S: Final = 0.015
@@ -79,6 +79,8 @@ class ObserverConstants:
     """Points of the brake's map."""
     ratio_gain: float
     """Weight of a period in the means by which the radii are compared; 0 where they are not."""
+    latest_onset_s: float
+    """Time after the first command after which the brake acts for certain."""
 
 
 @dataclass(slots=True)
@@ -121,7 +123,7 @@ def observe(k: ObserverConstants, s: ObserverState, sample: Sample, command: Com
             _compare_radii(k, s)
         if drive <= 0.0 and s.road.speed > _BRAKING_FROM_RAD_S and s.samples >= _SAMPLES:
             released = s.pending.torques[s.pending.newest - 1] == 0.0
-            s.braking, s.asked_s, s.departure = True, 0.0 if released else _LATEST_ONSET_S, 0.0
+            s.braking, s.asked_s, s.departure = True, 0.0 if released else k.latest_onset_s, 0.0
             s.acted_s = 0.0
             begin(k.ekf, s.ekf, s.pending, s.wheel, s.road)
     braking, x, ratio = s.braking, s.ekf.x, s.ekf.radius_ratio
@@ -169,7 +171,7 @@ def _brake(
         s.braking = False
         restart(disc, wheel, wheel_angle, x[1] / s.ekf.radius_ratio, _HANDED_OVER_SD)
         restart(disc, road, road_angle, x[3], _HANDED_OVER_SD)
-    elif k.ekf.tuning.finds_onset and s.asked_s < _LATEST_ONSET_S:
+    elif k.ekf.tuning.finds_onset and s.asked_s < k.latest_onset_s:
         _find_onset(k, s, wheel_angle, road_angle, dt_s)
     if s.acted_s > 0.0 and s.ekf.surprise < -k.ekf.tuning.doubt:
         _take_for_quick(k, s)
@@ -217,7 +219,7 @@ def _find_onset(k: ObserverConstants, s: ObserverState, wheel_angle: float, road
             x[9] = s.asked_s - _NOTICED_S
             P[1][1] += elementary.raised(MISLED_SD[1], 2)
             P[4][4], P[9][9] = elementary.raised(0.5 * x[4], 2), elementary.raised(_ONSET_SD_S, 2)
-        s.acted_s, s.asked_s = s.asked_s, _LATEST_ONSET_S
+        s.acted_s, s.asked_s = s.asked_s, k.latest_onset_s
     elif s.ekf.surprise > k.ekf.tuning.surprise and x[9] < s.asked_s:
         begin(k.ekf, s.ekf, s.pending, wheel, road)
         x[4], x[9] = 0.0, s.asked_s
@@ -255,7 +257,8 @@ class Observer(ObserverState):
         ekf = EkfConstants(WheelDynamics(parameters), pending.k, spread, ratio, noise, jitter)
         super().__init__(rolling_wheel(disc), rolling_wheel(disc), EkfState(), pending)
         gain = period_s / _RATIO_S if spread.learns_radius else 0.0
-        self.k = ObserverConstants(disc, ekf, count_rad, brake_map.points, gain)
+        latest = round(spread.longest_dead_time_s + _ONSET_SHOWN_S, 6)
+        self.k = ObserverConstants(disc, ekf, count_rad, brake_map.points, gain, latest)
 
     @property
     def learnt(self) -> dict[str, float]:
@@ -299,7 +302,6 @@ ANY_BRAKE: Final = EkfTuning(
     step_adhesion=0.027,
     surprise=0.73,
     surprise_gain=0.143,
-    longest_dead_time_s=0.060,
     shortest_lag_s=0.002,
     longest_lag_s=0.120,
     release_ratio=1.87,
@@ -317,6 +319,11 @@ torque and the ripple were moved by hand towards those of `EkfTuning`, until `ro
 """
 
 
+def _any_brake(config: RigConfig, parameters: RigParameters) -> Observer:
+    longest_s = config.estimator.longest_dead_time_s
+    return _observer(replace(ANY_BRAKE, longest_dead_time_s=longest_s), config, parameters)
+
+
 SPEC: Final = EstimatorSpec(
     "Extended Kalman filter of wheels, brake and contact, which learns the encoders' discs in the run-up",
     (),
@@ -325,7 +332,7 @@ SPEC: Final = EstimatorSpec(
 )
 ADAPTIVE: Final = EstimatorSpec(
     "The observer for any brake and tyre: wide bounds for lag and dead time, latching jitter, the ratio of the radii",
-    (),
-    partial(_observer, ANY_BRAKE),
+    (parameter("longest_dead_time_s", "s", "longest dead time of the brake that it takes for possible"),),
+    _any_brake,
     Observer,
 )
