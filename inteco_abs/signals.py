@@ -125,6 +125,8 @@ class Prediction(NamedTuple):
     brake_lag_s: float
     brake_release_ratio: float = 1.0
     """Its lag in releasing, as a share of that."""
+    slowest_release_ratio: float = 1.0
+    """What that ratio may well be, as far as it is not known; 1 where the observer takes release and rise for equal."""
 
 
 class Estimate(NamedTuple):

@@ -139,12 +139,15 @@ def trusted_config(text: str) -> RigConfig:
 
 
 def _stored(text: str) -> Table:
+    """The stored table; what is younger than its session is as it was then, so that it replays."""
     table = tomllib.loads(text)
-    older = (("guard", "run_up_factor", None), ("estimator", "longest_dead_time_s", 0.06))
-    for name, key, before in older:  # a session older than the key is replayed as it was
-        section = table.setdefault(name, {})
-        if isinstance(section, dict):
-            section.setdefault(key, before)
+    guard, estimator, controller = (table.setdefault(name, {}) for name in ("guard", "estimator", "controller"))
+    if isinstance(guard, dict):
+        guard.setdefault("run_up_factor", None)
+    if isinstance(estimator, dict) and "longest_dead_time_s" not in estimator:
+        estimator["longest_dead_time_s"] = 0.06
+        if isinstance(controller, dict) and controller.get("name") == "predictive-reaching":
+            controller["gains"] = {"release_share": 0.0} | section_of(controller, "gains")
     return table
 
 

@@ -102,4 +102,5 @@ class _OracleEstimator:
             self._pending,
             (*now, rig.brake_dead_time_s, lag_s, rig.brake_release_ratio),
             1.0,
+            rig.brake_release_ratio,
         )

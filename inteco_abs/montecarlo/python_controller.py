@@ -61,8 +61,9 @@ def _flat(seen: Prediction | None) -> tuple[float, ...]:
     x1, x2 = seen.wheel_angle_rad, seen.wheel_speed_rad_s
     brake = seen.lagged_torque_nm, seen.excess_torque_nm
     adhesion = seen.adhesion_factor, seen.ripple_cosine, seen.ripple_sine
-    times = seen.brake_dead_time_s, seen.brake_lag_s, seen.brake_release_ratio
-    return (1.0, x1, x2, seen.road_speed_rad_s, *brake, *adhesion, *times)
+    times = seen.brake_dead_time_s, seen.brake_lag_s
+    release = seen.brake_release_ratio, seen.slowest_release_ratio
+    return (1.0, x1, x2, seen.road_speed_rad_s, *brake, *adhesion, *times, *release)
 
 
 class PythonController(_State):

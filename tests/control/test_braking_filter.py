@@ -242,7 +242,7 @@ def test_both_angles_correct_the_states_as_one_measurement(jitter_s):
 def test_looking_ahead_is_a_straight_line_through_the_middle_of_the_ripple():
     state = START * [1, 1, 1, 1, 1, 0, 1, 0, 0, 1, 1, 1] + [0, 0, 0, 0, 0, 0, 0, 0.03, 0.02, 0, 0, 0]
     pending, step_s = under_way(), 1e-5
-    expected = outlook(CONTACT, pending.k, pending, state.tolist(), 1.0)
+    expected = outlook(CONTACT, pending.k, pending, state.tolist(), 1.0, 1.0)
     angle, wheel, _, road = state[:4]
     horizon_s, _, mean_nm = ahead(pending.k, pending, *state[[4, 9, 10, 11]])
     for _ in range(round(horizon_s / step_s)):

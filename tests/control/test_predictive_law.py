@@ -81,6 +81,19 @@ def test_the_slip_is_asked_to_move_by_the_law(slip, road_speed):
     assert rate == pytest.approx(expected, rel=1e-6, abs=1e-6)
 
 
+@given(st.floats(0.04, 0.12), st.floats(20.0, 245.0), st.floats(1.1, 4.0))
+def test_the_slip_is_slowed_down_no_harder_than_half_of_what_a_slow_release_allows(slip, road_speed, slowest):
+    held, by_rate, _ = CONTACT.torque(
+        slip, 0.0, (1.0 - slip) * MASK.r2 / MASK.r1 * road_speed, road_speed, adhesion(slip, MASK)
+    )
+    a = min(0.5 * held / (0.1 * slowest * by_rate), deceleration(road_speed))
+    expected = outlook(slip, road_speed, brake_lag_s=0.1, slowest_release_ratio=slowest)
+    rate = slip_rate(slip, road_speed, demand_at(expected).torque_nm)
+    assert rate == pytest.approx(math.sqrt(2.0 * a * (0.2 - slip - a / (2.0 * K**2))), rel=1e-6)
+    unlimited = demand_at(expected, release_share=0.0)
+    assert unlimited == demand_at(expected._replace(slowest_release_ratio=1.0))
+
+
 @given(SPEEDS, st.sampled_from([-1.0, 1.0]))
 def test_the_branches_of_the_law_meet_in_value_and_slope(road_speed, side):
     edge = deceleration(road_speed) / K**2

@@ -22,6 +22,7 @@ FACTORS = {
     "a dead time of 80 ms": ("[rig]\nbrake_dead_time_s = 0.08", 0.02),
     "a dead time of 150 ms": ("[rig]\nbrake_dead_time_s = 0.15", 0.08),
     "a slow release": ("[rig]\nbrake_release_ratio = 3", 0.0025),
+    "a slow release of a slow brake": ("[rig]\nbrake_release_ratio = 3\nbrake_lag_s = 0.1", 0.0025),
     "a small tyre": ("[parameters]\nr1 = { factor = 0.96 }", 0.0015),
     "a large tyre": ("[parameters]\nr1 = { factor = 1.04 }", 0.0015),
     "a bent disc": ("[encoders]\nsecond_harmonic_counts = 0.5", 0.002),
@@ -39,7 +40,9 @@ def slip_rms(text, estimator, count):
     return float(np.median(stops["slip_rms_fixed_true"]))
 
 
-@pytest.mark.parametrize("factor", ["no lag", "a dead time of 50 ms", "a slow release", "latching jitter"])
+@pytest.mark.parametrize(
+    "factor", ["no lag", "a dead time of 50 ms", "a slow release of a slow brake", "latching jitter"]
+)
 def test_each_hard_factor_alone_is_held(factor):
     text, bound = FACTORS[factor]
     assert slip_rms(text, "adaptive-observer", 6) < bound

@@ -19,6 +19,8 @@ from inteco_abs.signals import BrakeDemand, Estimate
 _START_RAD_S: Final = 180.0
 _RISEN_SLIP: Final = 0.035
 """Slip from which the adhesion is nearly full; reaching demands the torque of at least this slip."""
+_LEAST_HELD_NM: Final = 1.0
+"""Torque below which the limit of the slip deceleration by a slow release falls no further."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +36,7 @@ class PredictiveConstants:
     a: float
     a_most: float
     kM: float
+    release_share: float
 
 
 @dataclass(slots=True)
@@ -80,7 +83,15 @@ def _find_torques(k: PredictiveConstants, s: PredictiveState, estimate: Estimate
     factor = seen.adhesion_factor + seen.ripple_cosine * cosine + seen.ripple_sine * sine
     factor_rate = (seen.ripple_sine * cosine - seen.ripple_cosine * sine) * x1
     mu = formula(k.contact.parameters, max(slip, _RISEN_SLIP))
-    rate, slope = _approach(k, switching, x2, seen.brake_release_ratio)
+    deceleration = min(k.a * _START_RAD_S / x2, k.a_most)
+    if seen.brake_release_ratio > 1.0:
+        deceleration /= seen.brake_release_ratio
+    if k.release_share > 0.0 and seen.slowest_release_ratio > 1.0:
+        held, by_held, _ = demanded_torque(k.contact, slip, 0.0, x1, x2, factor * mu)
+        release_s = seen.brake_lag_s * seen.slowest_release_ratio
+        most = k.release_share * max(held - seen.excess_torque_nm, _LEAST_HELD_NM) / (by_held * release_s)
+        deceleration = min(deceleration, most)
+    rate, slope = _approach(k, switching, deceleration)
     wanted, by_rate, by_adhesion = demanded_torque(k.contact, slip, -rate, x1, x2, factor * mu)
     wanted -= seen.excess_torque_nm
     slip_rate = -rate + (lagged - wanted) / by_rate
@@ -97,11 +108,9 @@ def _find_torques(k: PredictiveConstants, s: PredictiveState, estimate: Estimate
     return True
 
 
-def _approach(k: PredictiveConstants, switching: float, road_speed: float, release_ratio: float) -> tuple[float, float]:
-    """Decay rate of the slip error, 1/s, and its derivative by the error; lower if the brake is slow to release."""
-    a, error = min(k.a * _START_RAD_S / road_speed, k.a_most), abs(switching)
-    if release_ratio > 1.0:
-        a /= release_ratio
+def _approach(k: PredictiveConstants, switching: float, a: float) -> tuple[float, float]:
+    """Decay rate of the slip error, 1/s, and its derivative by the error, for a deceleration `a` in 1/s2."""
+    error = abs(switching)
     if error * elementary.raised(k.k, 2) <= a:
         return k.k * switching, k.k
     rate = math.sqrt(2.0 * a * error - elementary.raised(a / k.k, 2))
@@ -115,6 +124,11 @@ class PredictiveReaching(PredictiveState):
     deceleration a. Both meet in value and slope at |s| = a/k^2. As the torque moves the slip by 1/x2, a does too. The
     brake's lag tau adds an order: it is driven towards b = M + tau*(kM*(M* - M) + M*'), with M* the torque of the law
     in the observer's model, and M*' from the law's slope and the known ripple. Needs the observer.
+
+    A brake that releases rho times slower than it rises takes the torque M off at most at M/(rho*tau), and the
+    deceleration a asks for a*dM/ds', with the derivative of the model's torque by the slip's rate. So a is divided by
+    the estimated rho, and at most `release_share` times M/(rho*tau*dM/ds') with the slowest rho that is likely. There
+    is no such limit where the observer takes release and rise for equal.
     """
 
     __slots__ = ("k",)
@@ -125,6 +139,7 @@ class PredictiveReaching(PredictiveState):
         Gain("a", 34.0, 0.1, 10_000.0, "1/s2", "slip deceleration in reaching at 180 rad/s; grows as 1/x2"),
         Gain("a_most", 500.0, 0.1, 100_000.0, "1/s2", "limit of that growth"),
         Gain("kM", 400.0, 1.0, 10_000.0, "1/s", "rate at which the torque closes in on the law's"),
+        Gain("release_share", 0.5, 0.0, 1.0, "1", "most of the deceleration by a release; 0: no limit"),
     )
     internals: ClassVar[tuple[Quantity, ...]] = (
         Quantity("excess_torque_nm", "N.m", "torque beyond the brake's static map, as estimated"),
@@ -134,10 +149,10 @@ class PredictiveReaching(PredictiveState):
     )
     estimator: ClassVar[str] = "observer"
 
-    def __init__(self, setup: Setup, k: float, a: float, a_most: float, kM: float) -> None:
+    def __init__(self, setup: Setup, k: float, a: float, a_most: float, kM: float, release_share: float) -> None:
         super().__init__(reference=setup.reference_slip)
         contact, points = WheelDynamics(setup.parameters), setup.brake_map.points
-        self.k = PredictiveConstants(setup.hold_below_rad_s, contact, points, k, a, a_most, kM)
+        self.k = PredictiveConstants(setup.hold_below_rad_s, contact, points, k, a, a_most, kM, release_share)
 
     def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:  # noqa: ARG002  a static law
         """Demand of the law; the last one without a prediction, and when the road is about to stop."""

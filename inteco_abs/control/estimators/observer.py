@@ -60,6 +60,8 @@ _QUICKLY_NOTICED_S: Final = 0.006
 _BRAKE: Final = (4, 5, 9, 10, 11)
 _QUICK_SD: Final = (2.0, 0.34, 0.003, 0.003, 0.3)
 """Of its torque, excess torque, dead time, lag and its factor in releasing."""
+_CAUTION_SD: Final = 0.5
+"""Standard deviations by which the slowest release that the law reckons with exceeds the estimated one."""
 _RATIO_S: Final = 0.15
 """Time constant of the means by which the radii are compared: their eccentric discs turn a few times in it."""
 _RATIO_FROM_RAD_S: Final = 60.0
@@ -129,7 +131,8 @@ def observe(k: ObserverConstants, s: ObserverState, sample: Sample, command: Com
     braking, x, ratio = s.braking, s.ekf.x, s.ekf.radius_ratio
     wheel_speed, road_speed = (x[1] / ratio, x[3]) if braking else (s.wheel.speed, s.road.speed)
     slip = braking_slip(wheel_speed * ratio, road_speed, k.ekf.contact.parameters)
-    seen = outlook(k.ekf.contact, k.ekf.delay, s.pending, x, ratio) if braking else None
+    slowest = x[11] + _CAUTION_SD * math.sqrt(max(s.ekf.P[11][11], 0.0))
+    seen = outlook(k.ekf.contact, k.ekf.delay, s.pending, x, ratio, slowest) if braking else None
     return Estimate(wheel_speed, road_speed, slip, s.samples >= _SAMPLES, seen)
 
 

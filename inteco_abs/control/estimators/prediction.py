@@ -97,7 +97,12 @@ def ahead(
 
 
 def outlook(
-    k: WheelConstants, delay: DelayConstants, pending: DelayState, state: Sequence[float], radius_ratio: float
+    k: WheelConstants,
+    delay: DelayConstants,
+    pending: DelayState,
+    state: Sequence[float],
+    radius_ratio: float,
+    slowest_release_ratio: float,
 ) -> Prediction:
     """Prediction from the states of `braking_ekf`, in which the wheel's angle is `radius_ratio` times the real one."""
     th1, x1, x2, factor, cosine, sine = state[0], state[1], state[3], state[6], state[7], state[8]
@@ -122,6 +127,7 @@ def outlook(
         dead_time,
         lag,
         release_ratio,
+        slowest_release_ratio,
     )
 
 
