@@ -108,8 +108,14 @@ def _compiled(bound: _Bound) -> Any:
 class _CheckedFiles(IndexDataCacheFile):
     """Numba's files of machine code with a digest each: a damaged one counts as missing, and is made once more.
 
-    Numba would load it, and the process might crash.
+    Numba would load it, and the process might crash. Each is named by what it is the code of: numba numbers them, and
+    two processes that compile at once may give one number to the code of two kinds of record.
     """
+
+    def save(self, key: object, data: object) -> None:
+        name = f"{Path(self._index_name).stem}.{hashlib.sha256(self._dump(key)).hexdigest()[:16]}.nbc"
+        self._save_data(name, data)
+        self._save_index(self._load_index() | {key: name})
 
     def _dump(self, content: object) -> bytes:
         data: bytes = super()._dump(content)

@@ -18,13 +18,13 @@ def result_of(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "outer_file.py").write_text("from inner_file import inner\n\n\ndef outer(x):\n    return inner(x)\n")
 
-    def result(inner):
+    def result(inner, x=2.0):
         (tmp_path / "inner_file.py").write_text(inner)
         for name in ("outer_file", "inner_file"):
             monkeypatch.delitem(sys.modules, name, raising=False)
         importlib.invalidate_caches()
         function = compiled(importlib.import_module("outer_file").outer)
-        return function(2.0), bool(function.stats.cache_hits)
+        return function(x), bool(function.stats.cache_hits)
 
     return result
 
@@ -45,6 +45,18 @@ def test_damaged_machine_code_is_made_once_more(result_of, tmp_path, suffix):
         file.write_bytes(damaged)
         assert result_of(inner) == (3.0, False)
     assert result_of(inner) == (3.0, True)
+
+
+def test_two_processes_that_compile_at_once_for_two_types_keep_their_own_code(result_of, tmp_path):
+    inner = "def inner(x):\n    return x + 1\n"
+    result_of(inner, 2.0)
+    indices = {file: file.read_bytes() for file in tmp_path.rglob("*.nbi")}
+    for file in indices:
+        file.unlink()  # the second process has looked for it before the first wrote it,
+    assert result_of(inner, 2) == (3, False)
+    for file, content in indices.items():
+        file.write_bytes(content)  # which is the last to do so
+    assert result_of(inner, 2.5) == (3.5, True)
 
 
 def test_compiled_functions_of_the_arithmetic_have_the_bits_of_python():
