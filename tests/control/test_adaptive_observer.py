@@ -63,7 +63,7 @@ def test_a_disc_that_errs_twice_per_turn_is_learnt(rolling):
     assert abs(run.observer.road.cosine_2) < 0.1 * per_count
 
 
-@pytest.mark.parametrize("dead_time_s", [0.02, 0.035, 0.05, 0.15])
+@pytest.mark.parametrize("dead_time_s", [0.02, 0.035, 0.05, 0.2])
 def test_a_dead_time_far_from_the_expected_one_is_found_by_its_onset(rolling, dead_time_s):
     run = driven(rolling, RigVariation(brake_dead_time_s=dead_time_s, brake_map="measured"))
     for _ in range(round((dead_time_s + 0.04) * 2000)):

@@ -46,8 +46,8 @@ _LONGEST_GAP_S: Final = 0.2
 """After a longer gap the state is worthless, and catching up would take longer than a period."""
 _SAMPLES: Final = 3
 """Samples until there is a speed."""
-_ONSET_SHOWN_S: Final = 0.01
-"""Time after the longest dead time after which a brake acts for certain."""
+_LATEST_ONSET: Final = 7.0 / 6.0
+"""Time after the first command after which the brake acts for certain, in longest dead times."""
 _DEPARTED: Final = 0.5
 """Mean deviation from rolling, in standard deviations, at which it acts."""
 _NOTICED_S: Final = 0.015
@@ -260,7 +260,7 @@ class Observer(ObserverState):
         ekf = EkfConstants(WheelDynamics(parameters), pending.k, spread, ratio, noise, jitter)
         super().__init__(rolling_wheel(disc), rolling_wheel(disc), EkfState(), pending)
         gain = period_s / _RATIO_S if spread.learns_radius else 0.0
-        latest = round(spread.longest_dead_time_s + _ONSET_SHOWN_S, 6)
+        latest = round(spread.longest_dead_time_s * _LATEST_ONSET, 6)
         self.k = ObserverConstants(disc, ekf, count_rad, brake_map.points, gain, latest)
 
     @property
