@@ -188,7 +188,7 @@ def test_a_stored_configuration_without_a_newer_key_decides_as_before_it():
     assert (table["guard"].pop("run_up_factor"), table["estimator"].pop("longest_dead_time_s")) == (1.5, 0.2)
     older = parse_config(tomli_w.dumps(table))
     assert (older.guard.run_up_factor, older.estimator.longest_dead_time_s) == (None, 0.06)
-    assert older.controller.gains == {"release_share": 0.0}
+    assert older.controller.gains == {"release_share": 0.0, "swing_band": 0.0}
     assert_survives(older)
 
 

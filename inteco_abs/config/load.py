@@ -147,7 +147,7 @@ def _stored(text: str) -> Table:
     if isinstance(estimator, dict) and "longest_dead_time_s" not in estimator:
         estimator["longest_dead_time_s"] = 0.06
         if isinstance(controller, dict) and controller.get("name") == "predictive-reaching":
-            controller["gains"] = {"release_share": 0.0} | section_of(controller, "gains")
+            controller["gains"] = {"release_share": 0.0, "swing_band": 0.0} | section_of(controller, "gains")
     return table
 
 

@@ -189,6 +189,38 @@ def test_the_last_demand_is_held_without_outlook_and_as_the_road_stops(expected,
     assert controller.update(estimate, PERIOD_S) == held
 
 
+def slip_rates(controller, slips, periods=1):
+    """Slip rate that the law asks for at 180 rad/s, in the last of so many periods at each slip."""
+    rates = []
+    for slip in slips:
+        for _ in range(periods):
+            demand = controller.update(seen(outlook(slip, 180.0)), PERIOD_S)
+        rates.append(slip_rate(slip, 180.0, demand.torque_nm))
+    return rates
+
+
+def test_the_gain_falls_to_half_with_each_swing_and_comes_back_in_steps_when_the_slip_is_calm():
+    controller, swings = law(), [0.1, 0.26, 0.14, 0.26, 0.14, 0.26, 0.14, 0.26]
+    slip_rates(controller, swings[:1])
+    for steps, slip in enumerate(swings[1:], 1):
+        slip_rates(controller, [slip, slip], 50)
+        assert slip_rates(controller, [0.201]) == pytest.approx([-0.001 * K / 2 ** min(steps, 5)], rel=1e-6)
+    for steps in (4, 3, 2, 1, 0, 0):
+        assert slip_rates(controller, [0.201], 401) == pytest.approx([-0.001 * K / 2**steps], rel=1e-6)
+
+
+def test_no_swing_is_what_stays_on_one_side_or_within_the_band_or_follows_a_reference_that_moves():
+    controller = law()
+    slip_rates(controller, [0.1, 0.16, 0.1, 0.22, 0.18, 0.22], 100)
+    assert slip_rates(controller, [0.201]) == pytest.approx([-0.001 * K], rel=1e-6)
+    controller.reference = 0.15
+    slip_rates(controller, [0.201])
+    controller.reference = 0.2
+    assert slip_rates(controller, [0.201]) == pytest.approx([-0.001 * K], rel=1e-6)
+    never = law(swing_band=0.0)
+    assert slip_rates(never, [0.1, 0.3, 0.1, 0.3, 0.201])[-1] == pytest.approx(-0.001 * K, rel=1e-6)
+
+
 def test_the_first_demand_is_zero():
     assert demand_at(None) == BrakeDemand(0.0)
 

@@ -19,6 +19,10 @@ from inteco_abs.signals import BrakeDemand, Estimate
 _START_RAD_S: Final = 180.0
 _RISEN_SLIP: Final = 0.035
 """Slip from which the adhesion is nearly full; reaching demands the torque of at least this slip."""
+_MOST_STEPS: Final = 5
+"""Steps of the fall-back; the last leaves 1/32 of the gains."""
+_CALM_S: Final = 0.2
+"""Time within the band after which the law takes a step back up."""
 _LEAST_HELD_NM: Final = 1.0
 """Torque below which the limit of the slip deceleration by a slow release falls no further."""
 
@@ -37,6 +41,7 @@ class PredictiveConstants:
     a_most: float
     kM: float
     release_share: float
+    swing_band: float
 
 
 @dataclass(slots=True)
@@ -53,11 +58,19 @@ class PredictiveState:
     brake_dead_time_s: float = 0.0
     brake_lag_s: float = 0.0
     settled_nm: float = 0.0
+    steps: int = 0
+    """Steps of the fall-back."""
+    calm_s: float = 0.0
+    """Time since the slip error was beyond the band, or since the last step back up."""
+    beyond: float = 0.0
+    """Slip error when it was there last; 0 before, and since the reference moved."""
+    supervised: float = 0.0
+    """Reference that this was an error of."""
 
 
-def predictive(k: PredictiveConstants, s: PredictiveState, estimate: Estimate, dt_s: float) -> BrakeDemand:  # noqa: ARG001  a static law
+def predictive(k: PredictiveConstants, s: PredictiveState, estimate: Estimate, dt_s: float) -> BrakeDemand:
     """Demand of the law; the last one without a prediction, and when the road is about to stop."""
-    if _find_torques(k, s, estimate):
+    if _find_torques(k, s, estimate, dt_s):
         s.brake = inverse(k.points, s.settled_nm)
     return _newest(s)
 
@@ -67,7 +80,7 @@ def _newest(s: PredictiveState) -> BrakeDemand:
     return BrakeDemand(s.brake, s.torque_nm, s.switching, known)
 
 
-def _find_torques(k: PredictiveConstants, s: PredictiveState, estimate: Estimate) -> bool:
+def _find_torques(k: PredictiveConstants, s: PredictiveState, estimate: Estimate, dt_s: float) -> bool:
     """Find the torques that the law demands, and that the brake is driven to; False if the last ones are held."""
     seen = estimate.outlook
     if seen is None:
@@ -91,12 +104,13 @@ def _find_torques(k: PredictiveConstants, s: PredictiveState, estimate: Estimate
         release_s = seen.brake_lag_s * seen.slowest_release_ratio
         most = k.release_share * max(held - seen.excess_torque_nm, _LEAST_HELD_NM) / (by_held * release_s)
         deceleration = min(deceleration, most)
-    rate, slope = _approach(k, switching, deceleration)
+    share = _supervise(k, s, switching, dt_s)
+    rate, slope = _approach(share * k.k, switching, deceleration)
     wanted, by_rate, by_adhesion = demanded_torque(k.contact, slip, -rate, x1, x2, factor * mu)
     wanted -= seen.excess_torque_nm
     slip_rate = -rate + (lagged - wanted) / by_rate
     wanted_rate = by_adhesion * mu * factor_rate - by_rate * slope * slip_rate
-    torque_rate = k.kM * (wanted - lagged) + wanted_rate
+    torque_rate = share * k.kM * (wanted - lagged) + wanted_rate
     lag_s = seen.brake_lag_s if torque_rate >= 0.0 else seen.brake_lag_s * seen.brake_release_ratio
     s.settled_nm = lagged + lag_s * torque_rate
     s.torque_nm, s.switching, s.excess_torque_nm = wanted, switching, seen.excess_torque_nm
@@ -108,12 +122,28 @@ def _find_torques(k: PredictiveConstants, s: PredictiveState, estimate: Estimate
     return True
 
 
-def _approach(k: PredictiveConstants, switching: float, a: float) -> tuple[float, float]:
-    """Decay rate of the slip error, 1/s, and its derivative by the error, for a deceleration `a` in 1/s2."""
+def _supervise(k: PredictiveConstants, s: PredictiveState, switching: float, dt_s: float) -> float:
+    """Share of the gains that is left: half for each time that the slip error has swung from one side to the other."""
+    if k.swing_band == 0.0:
+        return 1.0
+    if s.supervised != s.reference:
+        s.supervised, s.beyond = s.reference, 0.0
+    s.calm_s += dt_s
+    if abs(switching) > k.swing_band:
+        if switching * s.beyond < 0.0 and s.steps < _MOST_STEPS:
+            s.steps += 1
+        s.beyond, s.calm_s = switching, 0.0
+    elif s.steps > 0 and s.calm_s > _CALM_S:
+        s.steps, s.calm_s = s.steps - 1, 0.0
+    return elementary.raised(0.5, s.steps) if s.steps > 0 else 1.0
+
+
+def _approach(k: float, switching: float, a: float) -> tuple[float, float]:
+    """Decay rate of the slip error, 1/s, and its derivative by the error; `k` in 1/s, the deceleration `a` in 1/s2."""
     error = abs(switching)
-    if error * elementary.raised(k.k, 2) <= a:
-        return k.k * switching, k.k
-    rate = math.sqrt(2.0 * a * error - elementary.raised(a / k.k, 2))
+    if error * elementary.raised(k, 2) <= a:
+        return k * switching, k
+    rate = math.sqrt(2.0 * a * error - elementary.raised(a / k, 2))
     return math.copysign(rate, switching), a / rate
 
 
@@ -129,6 +159,11 @@ class PredictiveReaching(PredictiveState):
     deceleration a asks for a*dM/ds', with the derivative of the model's torque by the slip's rate. So a is divided by
     the estimated rho, and at most `release_share` times M/(rho*tau*dM/ds') with the slowest rho that is likely. There
     is no such limit where the observer takes release and rise for equal.
+
+    Where the model is wrong the slip swings about the reference. Each time that its error, which was beyond the
+    `swing_band` on one side, is so on the other, k and kM fall to half, down to 1/32: the slower loop bears more dead
+    time and lag that it does not know. Each 0.2 s without an error beyond the band take one of these steps back. A
+    reference that moves is no swing.
     """
 
     __slots__ = ("k",)
@@ -140,6 +175,7 @@ class PredictiveReaching(PredictiveState):
         Gain("a_most", 500.0, 0.1, 100_000.0, "1/s2", "limit of that growth"),
         Gain("kM", 400.0, 1.0, 10_000.0, "1/s", "rate at which the torque closes in on the law's"),
         Gain("release_share", 0.5, 0.0, 1.0, "1", "most of the deceleration by a release; 0: no limit"),
+        Gain("swing_band", 0.03, 0.0, 1.0, "1", "slip error to both sides of which the slip swings; 0: no fall-back"),
     )
     internals: ClassVar[tuple[Quantity, ...]] = (
         Quantity("excess_torque_nm", "N.m", "torque beyond the brake's static map, as estimated"),
@@ -149,14 +185,17 @@ class PredictiveReaching(PredictiveState):
     )
     estimator: ClassVar[str] = "observer"
 
-    def __init__(self, setup: Setup, k: float, a: float, a_most: float, kM: float, release_share: float) -> None:
+    def __init__(
+        self, setup: Setup, k: float, a: float, a_most: float, kM: float, release_share: float, swing_band: float
+    ) -> None:
         super().__init__(reference=setup.reference_slip)
         contact, points = WheelDynamics(setup.parameters), setup.brake_map.points
-        self.k = PredictiveConstants(setup.hold_below_rad_s, contact, points, k, a, a_most, kM, release_share)
+        own = k, a, a_most, kM, release_share, swing_band
+        self.k = PredictiveConstants(setup.hold_below_rad_s, contact, points, *own)
 
-    def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:  # noqa: ARG002  a static law
+    def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:
         """Demand of the law; the last one without a prediction, and when the road is about to stop."""
-        if _find_torques(self.k, self, estimate):
+        if _find_torques(self.k, self, estimate, dt_s):
             self.brake = self.duty(self.settled_nm)
         return _newest(self)
 
