@@ -46,7 +46,7 @@ _LEAVING_S: Final = 0.5
 _ESTIMATE: Final = struct.Struct("<2q5d?")
 """Number of the request, of the controller that is asked; changing reference or NaN, time since the last sample,
 estimate."""
-_OBSERVED: Final = struct.Struct("<2q5d?11d")
+_OBSERVED: Final = struct.Struct(f"<2q5d?{len(Prediction._fields)}d")
 """The fields of `_ESTIMATE`, and a prediction."""
 _COPY: Final = struct.Struct("<2q")
 """Number of the request, of the controller to copy."""
