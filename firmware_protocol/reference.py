@@ -7,8 +7,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
-from firmware_protocol import rtdac_pci, rtdac_usb, rtdac_usb2
+from firmware_protocol import open_board_reference, rtdac_pci, rtdac_usb, rtdac_usb2
 from firmware_protocol.fields import FrameField, Layout, ValueKind
+from firmware_protocol.markdown import table
 from firmware_protocol.registers import Register, RegisterMap
 
 PATH: Final = Path(__file__).with_name("PROTOCOL.md")
@@ -107,14 +108,9 @@ def _limits(field: FrameField) -> str:
     return limits
 
 
-def _table(columns: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
-    lines = ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
-    return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)]) + "\n"
-
-
 def _fields(fields: Iterable[FrameField], letter: str) -> str:
     columns = ("field", "READ", "SEND", "range", "unit", "meaning", "status", "source")
-    return _table(
+    return table(
         columns,
         (
             (
@@ -148,10 +144,10 @@ def _register(register: Register) -> tuple[str, ...]:
     )
 
 
-def _registers(table: RegisterMap) -> str:
+def _registers(registers: RegisterMap) -> str:
     columns = ("register", "bits", "access", "index", "range", "unit", "conversion", "meaning", "status", "source")
-    ordered = sorted(table.registers.values(), key=lambda register: (register.offset, register.low))
-    return _table(columns, map(_register, ordered))
+    ordered = sorted(registers.registers.values(), key=lambda register: (register.offset, register.low))
+    return table(columns, map(_register, ordered))
 
 
 def _usb2_section() -> str:
@@ -202,7 +198,7 @@ def _pci_section() -> str:
 
 def render() -> str:
     """Return the whole document as Markdown."""
-    return f"{_usb2_section()}\n{_usb_section()}\n{_pci_section()}"
+    return f"{_usb2_section()}\n{_usb_section()}\n{_pci_section()}\n{open_board_reference.section()}"
 
 
 def main(arguments: list[str]) -> int:
