@@ -110,6 +110,7 @@ def main(arguments: list[str]) -> int:
         check.run("types", "mypy", background=True)
         check.run("import order", "lint-imports", "--no-logo", background=True)
         check.run("protocol reference", "python", "-m", "firmware_protocol.reference", "--check", background=True)
+        check.run("firmware tables", "python", "-m", "firmware_protocol.c_header", "--check", background=True)
         check.run("hazards", "python", "tools/write_hazards", "--check", background=True)
         check.run("faults", "python", "tools/fault_campaign", *arguments, background=True)
         check.run("fuzzing", "python", "tools/fuzz", "30" if long else "--drawn", background=True)

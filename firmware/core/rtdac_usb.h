@@ -1,0 +1,28 @@
+/* The vendor's logic 0x0111: frames of a first-generation RT-DAC/USB (firmware_protocol/PROTOCOL.md).
+
+   Programs of that board know no arming and no watchdog: the outputs go off RTDAC_USB_WATCHDOG_US after the last SEND
+   frame, and stay off until a SEND frame has all widths zero. Analogue inputs and outputs, the generator, index inputs
+   and PWM 2 and 3 are echoed, and do nothing. */
+
+#ifndef RTDAC_USB_H
+#define RTDAC_USB_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+/* State after power-up: all settings zero, all pins inputs. */
+void rtdac_usb_reset(void);
+
+/* Takes a byte of the line. False if it belongs to no message. */
+bool rtdac_usb_take(uint8_t byte);
+
+/* Drops an unfinished message. */
+void rtdac_usb_drop(void);
+
+/* Looks after the watchdog, at each tick. */
+void rtdac_usb_tick(void);
+
+/* Shows both widths as zero, as something has switched the outputs off. */
+void rtdac_usb_show_off(void);
+
+#endif
