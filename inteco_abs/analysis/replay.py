@@ -14,7 +14,7 @@ import numpy as np
 from inteco_abs import elementary
 from inteco_abs.analysis.compiling import compiled_loops, recorded_with
 from inteco_abs.analysis.gains import changed_gains, gain_changes, steps
-from inteco_abs.analysis.tolerance import DISCRETE, OUTPUTS, Array, Shift, Tolerance, bits, shifts
+from inteco_abs.analysis.tolerance import DISCRETE, OUTPUTS, Array, Shift, Shifts, Tolerance, bits
 from inteco_abs.control import REFERENCE, Controller, Pipeline, build_pipeline, control_check, gains_in_force
 from inteco_abs.errors import SessionError, describe_error
 from inteco_abs.format import TICK, Role
@@ -183,79 +183,128 @@ def replay_session(
     differs, or machine code cannot replay it, Python replays all and has the last word.
     """
     require_inputs(session)
-    found = _compared(session, pipeline, compiled)
-    if not found.others:
-        return Replay(found.ticks, found.braking_ticks, 0, None, {}, found.ticks, session.duration_s)
-    logged = session.ticks
-    again = logged.copy()
-    for at, rows in found.others.items():
-        again[at : at + len(rows)] = rows
-    _imply_inputs(logged, again)
-    differs = {name: bits(logged[name]) != bits(again[name]) for name in _COMPARED}
-    differs = {name: where for name, where in differs.items() if where.any()}
-    tolerated = {}
-    for name, tolerance in (tolerances or {}).items():
-        if name in differs:
-            accepted = differs[name] & tolerance.accepts(logged[name], again[name], logged["time_ns"])
-            tolerated[name] = int(accepted.sum())
-            differs[name] &= ~accepted
-    any_differs = np.logical_or.reduce([np.zeros(len(logged), np.bool_), *differs.values()])
-    agreeing, first = len(logged), None
-    if any_differs.any():
-        agreeing = int(np.argmax(any_differs))
-        name = next(name for name, where in differs.items() if where[agreeing])
-        first = _difference(int(again["tick"][agreeing]), name, logged[name][agreeing], again[name][agreeing])
-    return Replay(
-        len(logged),
-        found.braking_ticks,
-        int(any_differs.sum()),
-        first,
-        {name: int(where.sum()) for name, where in differs.items() if where.any()},
-        agreeing,
-        (int(logged["time_ns"][agreeing - 1]) - int(logged["time_ns"][0])) * 1e-9 if agreeing else 0.0,
-        {name: count for name, count in tolerated.items() if count},
-        tuple(shift for name in DISCRETE if name in differs for shift in shifts(name, logged, again)),
-        other_arithmetic(session.metadata.get("software", {})) if first else {},
-    )
-
-
-class _Comparison:
-    """Decisions compared with the log, block by block."""
-
-    def __init__(self) -> None:
-        self.ticks = self.braking_ticks = 0
-        self.others: dict[int, Array] = {}
-        """Decisions of the blocks that do not agree, by the index of their first tick."""
-        self._before: Array = TICK.array(b"")
-
-    def add(self, logged: Array, again: Array) -> None:
-        """Add the decisions `again` on the next block of the log."""
-        if not (_same_outputs(logged, again) and _inputs_follow(self._before, logged)):
-            self.others[self.ticks] = again
-        self.ticks += len(logged)
-        self.braking_ticks += int((logged["phase"] == Phase.BRAKING).sum())
-        self._before = logged[-1:]
-
-
-def _compared(session: Session, pipeline: Pipeline, compiled: bool | None) -> _Comparison:
-    """Decisions of a new `pipeline` beside the log."""
+    agrees = _agrees_compiled(session, pipeline, compiled)
+    if agrees is not None:
+        return agrees
+    found = _Comparison(tolerances or {})
     changes = gain_changes(session)
-    loops = compiled_loops(session, pipeline.estimator, pipeline.machine.controller, compiled)
-    if loops is not None:
-        found, replay = _Comparison(), loops.module.CompiledReplay(pipeline, loops.may_compile, changes)
-        for logged in _ticks(session):
-            again = replay.decide(logged)
-            if again is None:
-                break
-            found.add(logged, again)
-        else:
-            if not found.others:
-                return found
-    found = _Comparison()
     with recorded_arithmetic(session):
         for logged in _ticks(session):
             found.add(logged, TICK.array_of(steps(pipeline, _samples(logged), changes)))
-    return found
+    return found.result(session)
+
+
+def _agrees_compiled(session: Session, pipeline: Pipeline, compiled: bool | None) -> Replay | None:
+    """The result, if a compiled loop replays all of the session and every bit of it agrees."""
+    loops = compiled_loops(session, pipeline.estimator, pipeline.machine.controller, compiled)
+    if loops is None:
+        return None
+    replay = loops.module.CompiledReplay(pipeline, loops.may_compile, gain_changes(session))
+    count = braking = 0
+    before = TICK.array(b"")
+    for logged in _ticks(session):
+        again = replay.decide(logged)
+        if again is None or not (_same_outputs(logged, again) and _inputs_follow(before, logged)):
+            return None
+        count += len(logged)
+        braking += int((logged["phase"] == Phase.BRAKING).sum())
+        before = logged[-1:]
+    return Replay(count, braking, 0, None, {}, count, session.duration_s)
+
+
+class _Comparison:
+    """Decisions compared with the log, block by block.
+
+    Each tick is judged once the log goes on as far as a tolerance reaches, and is kept as long as one reaches back.
+    """
+
+    def __init__(self, tolerances: Mapping[str, Tolerance]) -> None:
+        self._tolerances = tolerances
+        self._reach_ns = round(max((max(each.lead_s, each.lag_s) for each in tolerances.values()), default=0.0) * 1e9)
+        self._logged = self._again = TICK.array(b"")
+        self._judged = 0
+        """Number of kept ticks that have been judged."""
+        self._count = self._braking = self._differing = 0
+        self._by_field: dict[str, int] = {}
+        self._tolerated: dict[str, int] = {}
+        self._shifts = {name: Shifts(name) for name in DISCRETE}
+        self._first: FirstDifference | None = None
+        self._first_ns = self._agreeing_ns = 0
+        self._agreeing = 0
+
+    def add(self, logged: Array, again: Array) -> None:
+        """Add the decisions `again` on the next block of the log."""
+        self._logged, self._again = _joined(self._logged, logged), _joined(self._again, again)
+        times_ns = self._logged["time_ns"].astype(np.int64)
+        # what a tick's own time should be depends on the tick after it
+        self._judge(min(int(np.searchsorted(times_ns, times_ns[-1] - self._reach_ns)), len(times_ns) - 1))
+        kept = int(np.searchsorted(times_ns, times_ns[self._judged] - self._reach_ns))
+        kept = max(0, min(kept, self._judged - 1))
+        self._logged, self._again = self._logged[kept:], self._again[kept:]
+        self._judged -= kept
+
+    def _judge(self, end: int) -> None:
+        logged, again, first = self._logged, self._again, self._judged
+        if end <= first:
+            return
+        _imply_inputs(logged, again)
+        wrong = np.zeros(end - first, np.bool_)
+        field = ""
+        for name in _COMPARED:
+            then, now = logged[name][first:end], again[name][first:end]
+            if name in self._shifts:
+                self._shifts[name].add(logged["tick"][first:end], then, now)
+            differs = bits(then) != bits(now)
+            if not differs.any():
+                continue
+            if name in self._tolerances:
+                near = self._tolerances[name].accepts(logged[name], again[name], logged["time_ns"])[first:end]
+                _count(self._tolerated, name, differs & near)
+                differs &= ~near
+            _count(self._by_field, name, differs)
+            if self._first is None and differs.any() and (not field or differs.argmax() < wrong.argmax()):
+                field = name
+            wrong |= differs
+        if field:
+            row = first + int(wrong.argmax())
+            self._first = _difference(int(again["tick"][row]), field, logged[field][row], again[field][row])
+        if not self._count:
+            self._first_ns = int(logged["time_ns"][first])
+        if field or self._first is None:
+            agreeing = int(wrong.argmax()) if field else end - first
+            self._agreeing += agreeing
+            self._agreeing_ns = int(logged["time_ns"][first + agreeing - 1]) if self._agreeing else self._first_ns
+        self._count += end - first
+        self._braking += int((logged["phase"][first:end] == Phase.BRAKING).sum())
+        self._differing += int(wrong.sum())
+        self._judged = end
+
+    def result(self, session: Session) -> Replay:
+        """The result, once all was added."""
+        self._judge(len(self._logged))
+        return Replay(
+            self._count,
+            self._braking,
+            self._differing,
+            self._first,
+            {name: self._by_field[name] for name in _COMPARED if name in self._by_field},
+            self._agreeing,
+            (self._agreeing_ns - self._first_ns) * 1e-9,
+            self._tolerated,
+            tuple(shift for each in self._shifts.values() for shift in each.found()),
+            other_arithmetic(session.metadata.get("software", {})) if self._first else {},
+        )
+
+
+def _joined(before: Array, after: Array) -> Array:
+    rows = np.empty(len(before) + len(after), TICK.dtype)
+    rows[: len(before)], rows[len(before) :] = before, after
+    return rows
+
+
+def _count(counts: dict[str, int], name: str, where: Array) -> None:
+    if where.any():
+        counts[name] = counts.get(name, 0) + int(where.sum())
 
 
 def _same_outputs(logged: Array, again: Array) -> bool:

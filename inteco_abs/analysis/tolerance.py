@@ -7,9 +7,10 @@ The terms are those of Simulink Test: absolute, relative, leading, lagging
 from __future__ import annotations
 
 import math
+from collections import defaultdict, deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -88,26 +89,51 @@ class Shift:
     """Delay of the replay; None if one of them does not have the change."""
 
 
-def shifts(name: str, logged: Array, replayed: Array) -> Iterator[Shift]:
-    """Differing changes of one discrete output; the n-th change to a value in log and replay are compared."""
-    before, after = (_changes(rows[name], logged["tick"]) for rows in (logged, replayed))
-    for change in sorted({**after, **before}, key={**after, **before}.__getitem__):
-        then, now = before.get(change), after.get(change)
+class Shifts:
+    """Differing changes of one discrete output, added in blocks.
+
+    The n-th change to a value in the log is compared with the n-th in the replay.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._values: list[int | None] = [None, None]
+        """Newest value in the log, and in the replay."""
+        self._changes: dict[int, tuple[deque[int], deque[int]]] = defaultdict(lambda: (deque(), deque()))
+        """Ticks of the changes to each value that the other side does not have yet."""
+        self._found: list[Shift] = []
+
+    def add(self, ticks: Array, logged: Array, replayed: Array) -> None:
+        """Add a block: numbers of its ticks, values in the log and in the replay."""
+        for side, values in enumerate((logged, replayed)):
+            before = self._values[side]
+            rows = (np.flatnonzero(values[1:] != values[:-1]) + 1).tolist()
+            for row in [0, *rows] if int(values[0]) != before else rows:
+                self._changes[int(values[row])][side].append(int(ticks[row]))
+            self._values[side] = int(values[-1])
+        for value, (then, now) in self._changes.items():
+            while then and now:
+                self._compare(value, then.popleft(), now.popleft())
+
+    def _compare(self, value: int, then: int | None, now: int | None) -> None:
         if then != now:
-            members = _KINDS[name].members
-            value = members(change[0]).name if members else str(bool(change[0])).lower()
-            yield Shift(name, value, then, now, None if then is None or now is None else now - then)
+            members = _KINDS[self._name].members
+            name = members(value).name if members else str(bool(value)).lower()
+            self._found.append(Shift(self._name, name, then, now, None if then is None or now is None else now - then))
 
+    def found(self) -> list[Shift]:
+        """All of them by time, once every block was added."""
+        for value, (then, now) in self._changes.items():
+            for tick in then:
+                self._compare(value, tick, None)
+            for tick in now:
+                self._compare(value, None, tick)
+        self._changes.clear()
 
-def _changes(values: Array, ticks: Array) -> dict[tuple[int, int], int]:
-    """Tick of each change, by the new value and the number of earlier changes to it."""
-    found: dict[tuple[int, int], int] = {}
-    counts: dict[int, int] = {}
-    for row in [0, *(np.flatnonzero(values[1:] != values[:-1]) + 1).tolist()]:
-        value = int(values[row])
-        counts[value] = counts.get(value, -1) + 1
-        found[value, counts[value]] = int(ticks[row])
-    return found
+        def first_tick(shift: Shift) -> int:
+            return cast(int, shift.replayed_tick if shift.logged_tick is None else shift.logged_tick)
+
+        return sorted(self._found, key=first_tick)
 
 
 def bits(values: Array) -> Array:

@@ -8,7 +8,7 @@ import zlib
 import numpy as np
 import pytest
 
-from inteco_abs.analysis import diff_sessions, replay_session
+from inteco_abs.analysis import diff_sessions, parse_tolerances, replay_session
 from inteco_abs.control import build_pipeline, control_check
 from inteco_abs.errors import SessionError
 from inteco_abs.sessions import TICK, open_session, read_session, rows, session_config
@@ -94,6 +94,28 @@ def test_a_long_session_replays_block_by_block(long_session, monkeypatch, compil
         long_session, build_pipeline(session_config(long_session, (control_check(),))), compiled=compiled
     )
     assert (found.ticks, found.differing) == (long_session.tick_count, 0)
+
+
+@pytest.mark.parametrize("tolerances", [(), ("*=1e-3:1e-3", "phase=::0.01:0.02", "slip=0.1::0.003")])
+def test_a_long_session_that_differs_is_compared_as_a_short_one(long_session, chunked, monkeypatch, tolerances):
+    draw, changed = np.random.default_rng(3), chunked.session.ticks.copy()
+    for name in ("slip", "torque_demand_nm", "phase", "estimate_valid", "dt_s", "tick"):
+        at = draw.integers(len(changed), size=4)
+        changed[name][at] = changed[name][at[::-1]]
+    changed["time_ns"][draw.integers(len(changed), size=4)] += 40_000
+    changed["slip"][900:1100] += 1e-4
+    changed["phase"] = np.roll(changed["phase"], 7)
+    other = chunked.session.with_rows(changed)
+    found = []
+    for ticks in (1 << 20, 1000, 37):
+        monkeypatch.setattr(
+            type(long_session), "blocks", lambda session, n=ticks: rows.in_step(session.rows.parts(), n)
+        )
+        pipeline = build_pipeline(session_config(long_session, (control_check(),)))
+        found.append(replay_session(other, pipeline, parse_tolerances(tolerances), compiled=False))
+    assert found[0].differing > 0
+    assert len(found[0].shifts) > 1
+    assert found[1:] == found[:1] * 2
 
 
 def test_signals_of_long_sessions_differ_as_those_of_short_ones(long_session, chunked, monkeypatch):
