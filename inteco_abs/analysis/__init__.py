@@ -2,7 +2,7 @@
 
 from inteco_abs.analysis.baseline import previous_card
 from inteco_abs.analysis.catalogue import COLUMNS, session_files, session_row, session_rows, sort_rows
-from inteco_abs.analysis.closed_loop import Continuation, continued, distance
+from inteco_abs.analysis.closed_loop import Continuation, continued
 from inteco_abs.analysis.dataset import write_dataset
 from inteco_abs.analysis.diff import SECTIONS, Change, Diff, SignalChange, diff_sessions, require_sections, settings_of
 from inteco_abs.analysis.gains import changed_gains, gain_changes, listed_changes, recorded_gains, times_of_changes_ns
@@ -47,7 +47,6 @@ __all__ = [
     "continued",
     "decisions",
     "diff_sessions",
-    "distance",
     "gain_changes",
     "listed_changes",
     "metric_statistics",

@@ -7,7 +7,8 @@ its log and the plant's parameters allow.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Final, Self
@@ -15,8 +16,8 @@ from typing import Any, ClassVar, Final, Self
 import numpy as np
 
 from inteco_abs.analysis.gains import changes_for, make_due
-from inteco_abs.analysis.open_loop import since_braking_s
-from inteco_abs.analysis.replay import recorded_arithmetic, samples
+from inteco_abs.analysis.open_loop import braking_start
+from inteco_abs.analysis.replay import checked_blocks, recorded_arithmetic, require_inputs, samples_of
 from inteco_abs.analysis.tolerance import Array
 from inteco_abs.boards import Board, InProcessLink, board_behind
 from inteco_abs.config import RigConfig, SimulationConfig, load_config
@@ -24,8 +25,8 @@ from inteco_abs.control import Controller, Gain, Pipeline, keeps_gain, make_cont
 from inteco_abs.errors import SessionError, describe_error
 from inteco_abs.format import INTERNALS, TICK, TRUTH
 from inteco_abs.mock_board import Device, Truth, front_end_of
-from inteco_abs.sessions import Session, result_card
-from inteco_abs.signals import BrakeDemand, Command, Estimate, Phase, Sample, Tick
+from inteco_abs.sessions import BLOCK_TICKS, RunningCard, Session, joined_rows
+from inteco_abs.signals import BrakeDemand, Command, Estimate, Phase, Reason, Sample, Tick
 
 _SIMULATED_PROFILE: Final = "sim_usb2"
 _DEMAND: Final = ("brake_request", "torque_demand_nm", "switching", *INTERNALS)
@@ -39,15 +40,22 @@ class Continuation:
 
     row: int
     """Row of the last logged tick."""
+    from_tick: int
+    """Number of that tick."""
     state_from: str
     """Source of the plant's state: `truth` or `estimates`."""
     rig: str
     """The drawn rig, or the name of the published parameters."""
-    ticks: Array
-    truth: Array
-    """True states of the continuation alone."""
+    reason: Reason
+    """Why it ended."""
     card: dict[str, Any]
     """Result card of the whole stop; by the estimates if the log has no truth."""
+    distance: dict[str, float | None]
+    """RMS difference to the log over the ticks in which both brake, by field; None if there are none."""
+    ticks: Array | None
+    """All ticks, those up to `row` too, if they were kept."""
+    truth: Array | None
+    """True states of the continuation alone, if they were kept."""
 
 
 def continued(
@@ -56,35 +64,44 @@ def continued(
     other: RigConfig,
     controllers: Mapping[str, type[Controller]],
     at_s: float = 0.0,
+    *,
+    keep: bool = True,
 ) -> Continuation:
     """`session`, run with `own`, as if the estimator and controller of `other` had decided from `at_s`.
 
     The session's changes of gains go on, as far as they hold for that controller.
-    `at_s` is since braking began. Each command takes effect at the next tick, as on a board. Raises SessionError if
-    the run was over by then, or the errors of the mock board.
+    `at_s` is since braking began. Each command takes effect at the next tick, as on a board. Unless they are to
+    `keep`, ticks and states are judged in blocks and forgotten. Raises SessionError if the run was over by then, or the
+    errors of the mock board.
     """
-    row = _row_at(session, at_s)
+    require_inputs(session)
+    row, last, state = _place_at(session, at_s)
     simulation = own if _was_simulated(session) else _in_simulation(own)
-    log = _Log(session.ticks[list(_DEMAND)], row)
-    ticks: list[Tick] = []
+    result = _Result(session, other, row, keep=keep)
+    log = _Log(row)
     with recorded_arithmetic(session):
         controller = make_controller(other, controllers)
         pipeline = Pipeline(own, make_estimator(other), _Successor(log, controller))
         changes = changes_for(session, other, controller, controllers)
         rig = _Rig(session, simulation)
         with rig.board:
-            for sample, request in samples(session):
-                simulated = rig.exchange(sample.time_ns, pipeline.command)
-                log.row = len(ticks)
-                make_due(changes, sample.tick, pipeline.change)
-                ticks.append(pipeline.step(sample, request))
-                if len(ticks) > row:
+            for logged, states in checked_blocks(session):
+                log.demands = logged[list(_DEMAND)]
+                ticks = list[Tick]()
+                for sample, request in samples_of(logged[: row + 1 - log.before]):
+                    log.row = len(ticks)
+                    simulated = rig.exchange(sample.time_ns, pipeline.command)
+                    make_due(changes, sample.tick, pipeline.change)
+                    ticks.append(pipeline.step(sample, request))
+                result.add_logged(ticks, states[states["time_ns"] <= last["time_ns"]])
+                rig.truths.clear()
+                log.before += len(logged)
+                if log.before > row:
                     break
-            state_from = rig.put_into_state(row)
-            rig.truths.clear()
+            state_from = rig.put_into_state(last, state)
             wheel, road = sample.wheel_count - simulated.wheel_count, sample.road_count - simulated.road_count
+            before, ticks = ticks[-1], []
             while not pipeline.finished:
-                before = ticks[-1]
                 following = rig.exchange(before.time_ns + own.period_ns, pipeline.command)
                 sample = following._replace(
                     tick=before.tick + 1,
@@ -92,37 +109,94 @@ def continued(
                     road_count=following.road_count + road,
                 )
                 make_due(changes, sample.tick, pipeline.change)
-                ticks.append(pipeline.step(sample))
+                before = pipeline.step(sample)
+                ticks.append(before)
+                if len(ticks) == BLOCK_TICKS:
+                    result.add(ticks, rig.truths)
+                    ticks, rig.truths[:] = [], []
     if pipeline.error is not None:
         raise SessionError(f"{session.path}: in simulation, it raised {describe_error(pipeline.error)}")
-    rows, truth = TICK.array_of(ticks), TRUTH.array_of(rig.truths)
-    logged = session.truth[session.truth["time_ns"] <= rows["time_ns"][row]]
-    known = TRUTH.array(logged.tobytes() + truth.tobytes())  # np.concatenate would change the layout
-    card = result_card(other, rows, known if len(session.truth) else truth[:0])
-    return Continuation(
-        row, state_from, simulation.simulation.rig or simulation.simulation.parameters, rows, truth, card
+    result.add(ticks, rig.truths)
+    name = simulation.simulation.rig or simulation.simulation.parameters
+    return result.continuation(row, int(last["tick"]), state_from, name, before.reason)
+
+
+class _Result:
+    """Card of a continuation, and its distance from the log, block by block."""
+
+    def __init__(self, session: Session, config: RigConfig, row: int, *, keep: bool) -> None:
+        self._card = RunningCard(config)
+        self._true = session.truth_count > 0
+        self._rest = _rows_from(session, row + 1)
+        self._logged = TICK.array(b"")
+        self._squares = dict.fromkeys(_DISTANCES, 0.0)
+        self._both = 0
+        """Ticks in which both brake."""
+        self._kept = ([TICK.array(b"")], [TRUTH.array(b"")]) if keep else None
+
+    def add_logged(self, ticks: list[Tick], states: Array) -> None:
+        """Add ticks on logged samples, and the log's states."""
+        rows = TICK.array_of(ticks)
+        self._card.add(rows, states)
+        if self._kept is not None:
+            self._kept[0].append(rows)
+
+    def add(self, ticks: list[Tick], truths: list[Truth]) -> None:
+        """Add simulated ticks and states."""
+        rows, states = TICK.array_of(ticks), TRUTH.array_of(truths)
+        self._card.add(rows, states if self._true else states[:0])
+        if self._kept is not None:
+            self._kept[0].append(rows)
+            self._kept[1].append(states)
+        while len(self._logged) < len(rows) and (more := next(self._rest, None)) is not None:
+            self._logged = joined_rows(self._logged, more)
+        logged, self._logged = self._logged[: len(rows)], self._logged[len(rows) :]
+        rows = rows[: len(logged)]
+        braking = (rows["phase"] == Phase.BRAKING) & (logged["phase"] == Phase.BRAKING)
+        self._both += int(braking.sum())
+        for name in _DISTANCES:
+            apart = rows[name][braking] - logged[name][braking]
+            self._squares[name] += float(np.sum(apart * apart))
+
+    def continuation(self, row: int, tick: int, state_from: str, rig: str, reason: Reason) -> Continuation:
+        """The result, once all was added."""
+        apart = {name: math.sqrt(total / self._both) if self._both else None for name, total in self._squares.items()}
+        ticks, truth = (None, None) if self._kept is None else (joined_rows(*each) for each in self._kept)
+        return Continuation(row, tick, state_from, rig, reason, self._card.card(), apart, ticks, truth)
+
+
+def _rows_from(session: Session, row: int) -> Iterator[Array]:
+    """The session's ticks from a row on, in blocks."""
+    before = 0
+    for ticks, _ in session.blocks():
+        yield ticks[max(0, row - before) :]
+        before += len(ticks)
+
+
+def _place_at(session: Session, at_s: float) -> tuple[int, Any, Any]:
+    """Row and tick of the first one at or after `at_s`, and the true state then, None if there is none.
+
+    Raises SessionError if the run was over by then.
+    """
+    _, start_ns = braking_start(session)
+    before, state, over = 0, None, False
+    running_s: list[float] = []
+    for ticks, states in session.blocks():
+        since_s = (ticks["time_ns"].astype(np.int64) - start_ns) * 1e-9
+        row = int(np.searchsorted(since_s, at_s - 1e-9))
+        if row < len(ticks) and not over:
+            if ticks["phase"][row] in _RUNNING:
+                newest = int(np.searchsorted(states["time_ns"], ticks["time_ns"][row], side="right")) - 1
+                return before + row, ticks[row], states[newest] if newest >= 0 else state
+            over = True
+        running_s += [] if before else [float(since_s[0])]
+        running_s[1:] = since_s[ticks["phase"] == Phase.BRAKING][-1:].tolist() or running_s[1:]
+        state = states[-1] if len(states) else state
+        before += len(ticks)
+    raise SessionError(
+        f"{session.path}: {at_s:g} s after braking began the run neither spins up nor brakes; "
+        f"choose a time in {running_s[0]:.3f}..{running_s[1]:.3f} s"
     )
-
-
-def distance(session: Session, closed: Continuation) -> dict[str, float | None]:
-    """RMS difference between continuation and log over the ticks in which both brake; None if there are none."""
-    ticks = closed.ticks[closed.row + 1 : len(session.ticks)]
-    logged = session.ticks[closed.row + 1 : len(closed.ticks)]
-    braking = (ticks["phase"] == Phase.BRAKING) & (logged["phase"] == Phase.BRAKING)
-    apart = {name: ticks[name][braking] - logged[name][braking] for name in _DISTANCES}
-    return {name: float(np.sqrt(np.mean(each * each))) if len(each) else None for name, each in apart.items()}
-
-
-def _row_at(session: Session, at_s: float) -> int:
-    """Row of the first tick at or after `at_s`; raises SessionError if the run was over by then."""
-    since_s = since_braking_s(session)
-    row = int(np.searchsorted(since_s, at_s - 1e-9))
-    if row == len(since_s) or session.ticks["phase"][row] not in _RUNNING:
-        raise SessionError(
-            f"{session.path}: {at_s:g} s after braking began the run neither spins up nor brakes; "
-            f"choose a time in {since_s[0]:.3f}..{since_s[session.ticks['phase'] == Phase.BRAKING][-1]:.3f} s"
-        )
-    return row
 
 
 def _was_simulated(session: Session) -> bool:
@@ -134,14 +208,16 @@ def _in_simulation(config: RigConfig) -> RigConfig:
     return replace(config, board=load_config(profile=_SIMULATED_PROFILE).board, simulation=SimulationConfig())
 
 
-@dataclass(slots=True)
 class _Log:
-    """The logged demands, used up to `from_row`."""
+    """The logged demands, used up to `from_row`; block by block."""
 
-    demands: Array
-    from_row: int
-    row: int = -1
-    """The current row."""
+    def __init__(self, from_row: int) -> None:
+        self.from_row = from_row
+        self.before = 0
+        """Rows before the current block."""
+        self.row = -1
+        """The current row of that block."""
+        self.demands: Array = np.empty(0)
 
 
 class _Successor:
@@ -165,7 +241,7 @@ class _Successor:
     def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:
         """The log's demand, or from the row on the other controller's."""
         own = self._controller.update(estimate, dt_s)
-        if self._log.row >= self._log.from_row:
+        if self._log.before + self._log.row >= self._log.from_row:
             return own
         brake, torque_nm, switching, *internals = self._log.demands[self._log.row].item()
         return BrakeDemand(brake, torque_nm, switching, tuple(internals))
@@ -179,8 +255,7 @@ class _Rig:
     """The mock board of a session, with a clock that is set to the logged times."""
 
     def __init__(self, session: Session, config: RigConfig) -> None:
-        self._session = session
-        self._now_ns = int(session.ticks["time_ns"][0]) - config.period_ns
+        self._now_ns = int(session.rows.edges()[0]["time_ns"][0]) - config.period_ns
         seed = int(session.metadata.get("software", {}).get("seed", "0"))
         self.truths: list[Truth] = []
         self._device = Device(config, self._time_ns, seed, self.truths.append)
@@ -191,14 +266,12 @@ class _Rig:
         self._now_ns = time_ns
         return self.board.exchange(command)
 
-    def put_into_state(self, row: int) -> str:
-        """Set the plant to the true state of a logged tick, or to its estimated speeds; return which of the two."""
-        plant, truth, logged = self._device.plant, self._session.truth, self._session.ticks[row]
-        newest = int(np.searchsorted(truth["time_ns"], logged["time_ns"], side="right")) - 1
-        source = truth[newest] if newest >= 0 else logged
+    def put_into_state(self, logged: Any, state: Any) -> str:
+        """Set the plant to a true state, or without one to a logged tick's estimates; return which of the two."""
+        plant, source = self._device.plant, logged if state is None else state
         plant.wheel_speed = source["wheel_speed_rad_s"].item()
         plant.road_speed = source["road_speed_rad_s"].item()
-        if newest < 0:
+        if state is None:
             return "estimates"
         plant.brake_torque = source["brake_torque_nm"].item()
         return "truth"

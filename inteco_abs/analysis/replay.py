@@ -189,8 +189,8 @@ def replay_session(
     found = _Comparison(tolerances or {})
     changes = gain_changes(session)
     with recorded_arithmetic(session):
-        for logged in _ticks(session):
-            found.add(logged, TICK.array_of(steps(pipeline, _samples(logged), changes)))
+        for logged, _ in checked_blocks(session):
+            found.add(logged, TICK.array_of(steps(pipeline, samples_of(logged), changes)))
     return found.result(session)
 
 
@@ -202,7 +202,7 @@ def _agrees_compiled(session: Session, pipeline: Pipeline, compiled: bool | None
     replay = loops.module.CompiledReplay(pipeline, loops.may_compile, gain_changes(session))
     count = braking = 0
     before = TICK.array(b"")
-    for logged in _ticks(session):
+    for logged, _ in checked_blocks(session):
         again = replay.decide(logged)
         if again is None or not (_same_outputs(logged, again) and _inputs_follow(before, logged)):
             return None
@@ -331,6 +331,13 @@ def decisions(session: Session, pipeline: Pipeline) -> Array:
         return TICK.array_of(steps(pipeline, samples(session), gain_changes(session)))
 
 
+def samples(session: Session) -> Iterator[tuple[Sample, Reason]]:
+    """The session's inputs: samples, and reasons of requested stops. Raises SessionError as `require_inputs`."""
+    require_inputs(session)
+    for ticks, _ in checked_blocks(session):
+        yield from samples_of(ticks)
+
+
 def require_known(session: Session) -> None:
     """Raise SessionError if this version does not know all of the session, on which decisions may depend."""
     if session.unsupported:
@@ -349,24 +356,18 @@ def require_inputs(session: Session) -> None:
     require_known(session)
 
 
-def samples(session: Session) -> Iterator[tuple[Sample, Reason]]:
-    """The session's inputs: samples, and reasons of requested stops. Raises SessionError as `require_inputs`."""
-    require_inputs(session)
-    for ticks in _ticks(session):
-        yield from _samples(ticks)
-
-
-def _ticks(session: Session) -> Iterator[Array]:
-    """The session's ticks in blocks. Raises SessionError for an impossible dt_s."""
-    for ticks, _ in session.blocks():
+def checked_blocks(session: Session) -> Iterator[tuple[Array, Array]]:
+    """The session's ticks and true states in blocks. Raises SessionError for an impossible dt_s."""
+    for ticks, states in session.blocks():
         impossible = np.flatnonzero(~(np.abs(ticks["dt_s"]) < _LONGEST_S))
         if len(impossible):
             tick, dt_s = (ticks[name][impossible[0]] for name in ("tick", "dt_s"))
             raise SessionError(f"{session.path}: tick {tick}: dt_s is {dt_s} s: must be less than {_LONGEST_S:.0f} s")
-        yield ticks
+        yield ticks, states
 
 
-def _samples(ticks: Array) -> Iterator[tuple[Sample, Reason]]:
+def samples_of(ticks: Array) -> Iterator[tuple[Sample, Reason]]:
+    """The inputs of logged ticks: samples, and reasons of requested stops."""
     for time_ns, tick, dt_s, wheel, road, flags, request in TICK.values(ticks.view(np.uint8).data, _INPUTS):
         sample = Sample(tick, time_ns, dt_s, wheel, road, BoardFlags(flags) if flags else _NO_FLAGS)
         yield sample, Reason(request) if request else _NO_REQUEST

@@ -7,13 +7,12 @@ from dataclasses import asdict, dataclass
 from itertools import product
 from typing import TYPE_CHECKING, Any, Final
 
-from inteco_abs.analysis import Continuation, WhatIf, alternative, continued, distance
+from inteco_abs.analysis import Continuation, WhatIf, alternative, continued
 from inteco_abs.analysis import what_if as open_loop
 from inteco_abs.api.arguments import speaks_of_arguments
 from inteco_abs.errors import ConfigError
 from inteco_abs.quantities import shown
-from inteco_abs.sessions import result_card, session_config
-from inteco_abs.signals import Reason
+from inteco_abs.sessions import computed_card, session_config
 from inteco_abs.views.shown import Shown
 from inteco_abs.views.what_if import WhatIfTrace, figure_of_what_if, render_what_if
 
@@ -53,17 +52,17 @@ class Alternatives(Shown):
                     "name": each.name,
                     "horizon_s": each.open_loop.horizon_s,
                     "open_loop": [asdict(one) for one in each.open_loop.divergences],
-                    "closed_loop": _of_closed_loop(self.session, each.closed_loop),
+                    "closed_loop": _of_closed_loop(each.closed_loop),
                 }
                 for each in self.alternatives
             ],
         }
         first = self.alternatives[0].closed_loop
         if first is not None:
-            card = result_card(session_config(self.session, ()), self.session.ticks, self.session.truth)
+            card = computed_card(self.session)
             report["simulation"] = {
                 "rig": first.rig,
-                "from_tick": int(self.session.ticks["tick"][first.row]),
+                "from_tick": first.from_tick,
                 "state_from": first.state_from,
                 "own_error": self.own_error,
                 "log": {name: card[name] for name in _METRICS},
@@ -117,7 +116,7 @@ def alternatives_to(
     traces = []
     for name, settings in grid:
         other = alternative(session, settings, controllers)
-        closed = _continued(session, other, controllers, at_s) if closed_loop else None
+        closed = _continued(session, other, controllers, at_s, keep=keep) if closed_loop else None
         switch_s = 0.0 if closed_loop and at_s is None else at_s
         found: WhatIf = open_loop(session, other, controllers, switch_s, *thresholds, keep=keep)
         traces.append(WhatIfTrace(name, found, closed))
@@ -151,9 +150,14 @@ def _axis(sweep: str) -> list[str]:
 
 
 def _continued(
-    session: Session, other: RigConfig, controllers: Mapping[str, type[Controller]], at_s: float | None
+    session: Session,
+    other: RigConfig,
+    controllers: Mapping[str, type[Controller]],
+    at_s: float | None,
+    *,
+    keep: bool,
 ) -> Continuation:
-    return continued(session, session_config(session, ()), other, controllers, at_s or 0.0)
+    return continued(session, session_config(session, ()), other, controllers, at_s or 0.0, keep=keep)
 
 
 def _own_error(
@@ -162,14 +166,14 @@ def _own_error(
     own = session_config(session, ())
     if own.controller.name not in controllers:
         return None
-    return distance(session, _continued(session, own, controllers, at_s))
+    return _continued(session, own, controllers, at_s, keep=False).distance
 
 
-def _of_closed_loop(session: Session, closed: Continuation | None) -> dict[str, Any] | None:
+def _of_closed_loop(closed: Continuation | None) -> dict[str, Any] | None:
     if closed is None:
         return None
     return {
-        "reason": Reason(int(closed.ticks["reason"][-1])).name,
+        "reason": closed.reason.name,
         "card": {name: closed.card[name] for name in _METRICS},
-        "from_the_log": distance(session, closed),
+        "from_the_log": closed.distance,
     }

@@ -3,7 +3,15 @@
 from inteco_abs.format import TICK, TRUTH, pack_tick
 from inteco_abs.sessions.annotation import DESCRIPTION, HISTORY, annotate
 from inteco_abs.sessions.attachments import attached, extract
-from inteco_abs.sessions.card import aligned_truth, card_of, link_errors, result_card, stored_card
+from inteco_abs.sessions.card import (
+    RunningCard,
+    aligned_truth,
+    card_of,
+    computed_card,
+    link_errors,
+    result_card,
+    stored_card,
+)
 from inteco_abs.sessions.channels import (
     WARNING,
     Channel,
@@ -59,12 +67,13 @@ from inteco_abs.sessions.reader import (
     stored_rows,
 )
 from inteco_abs.sessions.recovery import Recovery, recover_session
-from inteco_abs.sessions.rows import PhaseSpan, joined_rows
+from inteco_abs.sessions.rows import BLOCK_TICKS, PhaseSpan, joined_rows
 from inteco_abs.sessions.session_writer import EXIT_CODES, LOSSES, RunEnd, RunHeader, RunResult, SessionWriter
 from inteco_abs.sessions.tables import Table, tables, to_pandas, to_polars
 from inteco_abs.sessions.validation import Inspection, SessionIssue, Severity, validate
 
 __all__ = [
+    "BLOCK_TICKS",
     "CONFIG_NAME",
     "CONTROLLER_FILES",
     "CONTROLLER_SOURCE",
@@ -97,6 +106,7 @@ __all__ = [
     "RunEnd",
     "RunHeader",
     "RunResult",
+    "RunningCard",
     "Session",
     "SessionIssue",
     "SessionWriter",
@@ -114,6 +124,7 @@ __all__ = [
     "check_output",
     "check_session_file",
     "check_spill",
+    "computed_card",
     "current_environment",
     "describe_other_arithmetic",
     "ensured_directory",

@@ -204,9 +204,14 @@ def card_of(session: Session) -> dict[str, Any] | None:
     if stored is not None:
         return stored
     try:
-        return _card_of_blocks(session_config(session, ()), session.blocks())
+        return computed_card(session)
     except SessionError:
         return None
+
+
+def computed_card(session: Session) -> dict[str, Any]:
+    """The session's card, computed from its ticks. Raises SessionError without a usable configuration."""
+    return _card_of_blocks(session_config(session, ()), session.blocks())
 
 
 def _count(text: str) -> int | None:

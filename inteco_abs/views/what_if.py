@@ -138,6 +138,8 @@ def _open_loop(panel: Axes, alternative: WhatIfTrace, field: str, since_s: Any, 
 
 
 def _closed_loop(panel: Axes, session: Session, closed: Continuation, field: str, colour: str) -> None:
+    if closed.ticks is None:
+        raise ValueError("the simulated ticks were not kept: continued(..., keep=True)")
     _, start_ns = braking_start(session)
     ticks = closed.ticks[closed.row :]
     time_s = (ticks["time_ns"].astype(np.int64) - start_ns) * 1e-9

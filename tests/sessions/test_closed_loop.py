@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from inteco_abs.analysis.closed_loop import continued, distance
+from inteco_abs.analysis.closed_loop import continued
 from inteco_abs.analysis.open_loop import alternative, braking_start
 from inteco_abs.control import CONTROLLERS
 from inteco_abs.errors import SessionError
@@ -38,7 +38,7 @@ def test_with_its_own_controller_a_virtual_run_continues_to_the_last_bit(run, se
         assert (len(found.ticks), found.state_from) == (len(session.ticks), "truth")
         for name in session.ticks.dtype.names:
             assert np.array_equal(found.ticks[name], session.ticks[name], equal_nan=name == "slip_reference"), name
-        assert set(distance(session, found).values()) == {0.0}
+        assert set(found.distance.values()) == {0.0}
 
 
 def test_another_controller_decides_from_then_on_and_the_rig_reacts(quick):

@@ -4,12 +4,13 @@ import itertools
 import os
 import struct
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from inteco_abs.analysis import diff_sessions, parse_tolerances, replay_session
-from inteco_abs.control import build_pipeline, control_check
+from inteco_abs.analysis import alternative, continued, diff_sessions, parse_tolerances, replay_session
+from inteco_abs.control import CONTROLLERS, build_pipeline, control_check
 from inteco_abs.errors import SessionError
 from inteco_abs.sessions import TICK, open_session, read_session, rows, session_config
 from inteco_abs.views import figure
@@ -116,6 +117,20 @@ def test_a_long_session_that_differs_is_compared_as_a_short_one(long_session, ch
     assert found[0].differing > 0
     assert len(found[0].shifts) > 1
     assert found[1:] == found[:1] * 2
+
+
+def test_a_long_session_continues_in_simulation_as_a_short_one(long_session, chunked, monkeypatch):
+    own, found = session_config(chunked.session, ()), []
+    other = alternative(chunked.session, ("controller.gains.Mk=5",), CONTROLLERS)
+    for session, ticks, keep in ((chunked.session, 1 << 20, True), (long_session, 700, False)):
+        monkeypatch.setattr(type(session), "blocks", lambda session, n=ticks: rows.in_step(session.rows.parts(), n))
+        monkeypatch.setattr("inteco_abs.analysis.closed_loop.BLOCK_TICKS", ticks)
+        found.append(continued(session, own, other, CONTROLLERS, 0.05, keep=keep))
+    whole, parts = found
+    assert (parts.ticks, parts.truth) == (None, None)
+    assert parts == replace(whole, ticks=None, truth=None, distance=parts.distance)
+    assert parts.distance == pytest.approx(whole.distance)
+    assert whole.distance["slip"] > 0.0
 
 
 def test_signals_of_long_sessions_differ_as_those_of_short_ones(long_session, chunked, monkeypatch):
