@@ -47,8 +47,6 @@ COUNTERS: Final = 4
 REPORTED_COUNTERS: Final = 2
 """Counters 0 and 1 are in every REPORT; STATUS has all."""
 PWMS: Final = 2
-FULL_WIDTH: Final = 4095
-"""PWM width of a full period."""
 
 WATCHDOG_MS: Final = (2, 100)
 TICK_HZ: Final = (100, 4000)
@@ -183,7 +181,7 @@ def _message(name: str, kind: int, meaning: str, *payload: tuple[str, str, str, 
 _STATE: Final = ("state", "u8", "1", "0 idle, 1 configured, 2 armed, 3 tripped")
 _TRIP: Final = ("trip", "u8", "1", "reason of the newest trip: 0 none, 1 watchdog, 2 stop input, 3 vendor's watchdog")
 _LATE: Final = ("late", "u16", "ticks", "ticks since reset, while armed, to which no command of theirs had come; wraps")
-_APPLIED: Final = tuple((f"width{i}", "u16", "1", f"PWM {i}: width in force, of 4095") for i in range(PWMS))
+_APPLIED: Final = tuple((f"width{i}", "u16", "1", f"PWM {i}: width in force") for i in range(PWMS))
 _CLOCK_US: Final = "board's clock, wraps"
 
 
@@ -196,10 +194,12 @@ HELLO: Final = _message("HELLO", 0x01, "asks who is there; answer IDENTITY")
 CONFIGURE: Final = _message(
     "CONFIGURE",
     0x02,
-    "sets watchdog and tick; answer STATUS, or REFUSAL while armed or tripped",
+    "sets watchdog, tick and PWM; answer STATUS, or REFUSAL while armed or tripped",
     ("watchdog_ms", "u8", "ms", "2..100: time without a valid COMMAND after which the outputs go off"),
-    ("tick_hz", "u16", "Hz", "100..4000: rate of the board's tick; 0: polled"),
+    ("tick_hz", "u16", "Hz", "100..4000, a divisor of 1000000: rate of the board's tick; 0: polled"),
     ("stop_pins", "u16", "bit mask", "input i must be high while armed; a low one trips the board"),
+    ("pwm_mode", "u8", "1", "0: 255 steps a period, 1: 4095"),
+    ("pwm_prescaler", "u16", "1", "PWM frequency = 40 MHz / ((prescaler + 1) * steps), as near as the chip comes"),
 )
 ARM: Final = _message(
     "ARM",
@@ -211,7 +211,10 @@ COMMAND: Final = _message(
     "COMMAND",
     0x04,
     "sets both widths; answer REPORT, at the next tick or, without a running tick, at once",
-    *((f"width{i}", "u16", "1", f"0..4095: PWM {i}, part of the period at logic 1") for i in range(PWMS)),
+    *(
+        (f"width{i}", "u16", "1", f"PWM {i}: steps of a period at logic 1, 0..255 or 0..4095 by pwm_mode")
+        for i in range(PWMS)
+    ),
 )
 DISARM: Final = _message("DISARM", 0x05, "outputs off at once, in every state; answer STATUS")
 QUERY: Final = _message("QUERY", 0x06, "asks for STATUS; changes nothing and feeds no watchdog")
@@ -221,15 +224,14 @@ IDENTITY: Final = _message(
     "IDENTITY",
     0x81,
     "answers HELLO",
-    ("protocol", "u8", "1", "version of this protocol: 1"),
     ("logic_version", "u16", "raw", "0x0B01"),
+    ("protocol", "u8", "1", "version of this protocol: 1"),
     ("name", "text8", "text", "name of the board"),
     ("date", "text8", "date", "day of the firmware's source, YYYYMMDD, so that a build can be repeated"),
     ("unique_id", "hex8", "1", "number of the chip"),
     ("clock_hz", "u32", "Hz", "rate of the board's clock: 1000000"),
     ("counters", "u8", "1", "number of counters: 4"),
     ("pwms", "u8", "1", "number of PWM outputs: 2"),
-    ("pwm_hz", "u16", "Hz", "frequency of the PWM outputs, rounded"),
 )
 STATUS: Final = _message(
     "STATUS",
@@ -249,6 +251,8 @@ STATUS: Final = _message(
     ("bad_frames", "u16", "1", "damaged or unknown frames since reset; wraps"),
     ("refused", "u16", "1", "COMMANDs since reset that changed nothing, late ones included; wraps"),
     ("pins", "u16", "bit mask", "levels of the inputs"),
+    ("pwm_mode", "u8", "1", "as configured"),
+    ("pwm_prescaler", "u16", "1", "as configured"),
 )
 REPORT: Final = _message(
     "REPORT",
@@ -257,7 +261,7 @@ REPORT: Final = _message(
     ("tick", "u32", "1", "number of the report since ARM; the first is 0"),
     ("clock", "u32", "us", f"{_CLOCK_US}: of the instant at which the counts were taken"),
     *_counts(REPORTED_COUNTERS),
-    ("width0", "u16", "1", "PWM 0: width in force from this instant on, of 4095"),
+    ("width0", "u16", "1", "PWM 0: width in force from this instant on"),
     ("width1", "u16", "1", "PWM 1: likewise"),
     _STATE,
     _TRIP,

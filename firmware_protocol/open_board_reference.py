@@ -76,16 +76,17 @@ REPORT of a tick has the low 8 bits of the tick.
 | SEND of logic 0x0111 | widths | widths | ignored | changes nothing |
 | READ of logic 0x0111 | answer | answer | ignored | answer |
 
-* **CONFIGURE**: REFUSAL 2 for `watchdog_ms` outside {watchdog[0]}..{watchdog[1]}, for `tick_hz` other than 0 and
-  {tick[0]}..{tick[1]}, and for a watchdog shorter than {periods} periods: `watchdog_ms * tick_hz` must be at least
-  {least}, or `tick_hz` 0. REFUSAL 5 while logic 0x0111 has a width on. It lets all counters run.
+* **CONFIGURE**: REFUSAL 2 for `watchdog_ms` outside {watchdog[0]}..{watchdog[1]}, for `tick_hz` other than 0
+  and the divisors of 1000000 in {tick[0]}..{tick[1]}, for another `pwm_mode`, and for a watchdog shorter than {periods}
+  periods: `watchdog_ms * tick_hz` must be at least {least}, or `tick_hz` 0. REFUSAL 5 while logic 0x0111 has a width
+  on. It lets all counters run.
 * **ARM**: `answer` is the challenge of the newest STATUS, exclusive or 0x{mask:04X}; REFUSAL 3 for another. REFUSAL 4
   while an input of `stop_pins` is low, 5 while logic 0x0111 has a width on. The state is looked at first, then answer,
   stop inputs, outputs. Each accepted ARM, each DISARM, trip and reset draws another challenge: a frame that is repeated
   later does not arm.
-* **COMMAND**: valid if the board is armed, both widths are at most {full}, and, with a tick, its sequence is the low 8
-  bits of the newest REPORT. Only a valid one sets widths, and only it feeds the watchdog. Others count in `refused`. A
-  COMMAND with both widths 0 in another state than armed is a question for a REPORT, and not counted.
+* **COMMAND**: valid if the board is armed, no width exceeds the steps of a period, and, with a tick, its sequence is
+  the low 8 bits of the newest REPORT. Only a valid one sets widths, and only it feeds the watchdog. Others count in
+  `refused`. A COMMAND with both widths 0 in another state than armed asks for a REPORT, and is not counted.
 * **Watchdog**: runs from ARM on, from the arrival of the newest valid COMMAND, or from ARM; it cannot be switched
   off. The board checks it at each tick, and in polled mode at least once in each millisecond, so that outputs are off
   at the latest one tick (polled: 1 ms) after `watchdog_ms`.
@@ -194,7 +195,6 @@ def section() -> str:
         periods=board.WATCHDOG_PERIODS,
         least=1000 * board.WATCHDOG_PERIODS,
         mask=board.CHALLENGE_MASK,
-        full=board.FULL_WIDTH,
         vendor_ms=board.VENDOR_WATCHDOG_MS,
     )
     report, command = board.REPORT.table.size, board.COMMAND.table.size

@@ -28,7 +28,12 @@ from firmware_protocol.open_board import (
 
 VECTORS = [
     (HELLO, {}, 0, "A5 01 00 00 AC FB"),
-    (CONFIGURE, {"watchdog_ms": 20, "tick_hz": 2000, "stop_pins": 0x8001}, 1, "A5 02 05 01 14 D0 07 01 80 E9 80"),
+    (
+        CONFIGURE,
+        {"watchdog_ms": 20, "tick_hz": 2000, "stop_pins": 0x8001, "pwm_mode": 1, "pwm_prescaler": 2},
+        1,
+        "A5 02 08 01 14 D0 07 01 80 01 02 00 19 48",
+    ),
     (ARM, {"answer": 0x1234 ^ 0x5AC3}, 2, "A5 03 02 02 F7 48 4C 3F"),
     (COMMAND, {"width0": 0x0123, "width1": 0x0FFF}, 255, "A5 04 04 FF 23 01 FF 0F B4 05"),
     (DISARM, {}, 0xA5, "A5 05 00 A5 23 C2"),
@@ -45,12 +50,11 @@ VECTORS = [
             "clock_hz": 1_000_000,
             "counters": 4,
             "pwms": 2,
-            "pwm_hz": 3486,
         },
         0,
         (
-            "A5 81 23 00 01 01 0B 4F 50 45 4E 41 42 53 00 32 30 32 36 31 31 32 34 E6 61 A4 D4 17 23 37 2B 40 42 0F 00"
-            " 04 02 9E 0D E1 28"
+            "A5 81 21 00 01 0B 01 4F 50 45 4E 41 42 53 00 32 30 32 36 31 31 32 34 E6 61 A4 D4 17 23 37 2B 40 42 0F 00"
+            " 04 02 EF 17"
         ),
     ),
     (
@@ -74,11 +78,13 @@ VECTORS = [
             "bad_frames": 5,
             "refused": 6,
             "pins": 0x0102,
+            "pwm_mode": 1,
+            "pwm_prescaler": 0x0203,
         },
         9,
         (
-            "A5 83 2B 09 03 01 EF BE 64 E8 03 02 00 01 00 02 00 FF FF FF FF FF FF FF 7F 00 00 00 80 07 00 00 00 FE FF"
-            " FF FF 03 00 04 00 05 00 06 00 02 01 BB 4B"
+            "A5 83 2E 09 03 01 EF BE 64 E8 03 02 00 01 00 02 00 FF FF FF FF FF FF FF 7F 00 00 00 80 07 00 00 00 FE FF"
+            " FF FF 03 00 04 00 05 00 06 00 02 01 01 03 02 8C 1C"
         ),
     ),
     (
