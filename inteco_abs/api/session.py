@@ -48,17 +48,36 @@ class Session(sessions.Session):
         """Return a table as a polars DataFrame, without units."""
         return sessions.to_polars(self, table)
 
-    @speaks_of_arguments(FILE="others")
-    def plot(self, *others: sessions.Session, width: str = "two") -> Figure:
+    @speaks_of_arguments(FILE="others", font_size="font_size_pt", range="range_s")
+    def plot(
+        self,
+        *others: sessions.Session,
+        style: str = "plain",
+        width: str = "two",
+        font: str | None = None,
+        font_size_pt: float | None = None,
+        title: bool | None = None,
+        panels: Sequence[str] = ("speed", "slip", "torque"),
+        range_s: tuple[float, float] | None = None,
+        envelope: bool = True,
+    ) -> Figure:
         """Figure of speeds, slip and torque since braking began, compared with `others`.
 
-        Speeds are in rad/s, torque in N m, time in s. `width` is `one` or `two` columns of a journal. A notebook shows
-        the figure; `savefig` writes it. Raises AbsError if a run never braked, or without matplotlib, and ConfigError
-        for more sessions than it has colours for.
+        Speeds are in rad/s, torque in N m, time in s. `style` is `plain`, `ieee` or `elsevier`, `width` is `one` or
+        `two` columns of its page. `font` is `serif`, `sans` or an installed font, `font_size_pt` in 5..20. `title`
+        is by default as the style has it. `range_s` is a part of the time since braking began. With `envelope`,
+        torque that chatters is drawn as its range and mean. A notebook shows the figure; `savefig` writes it. Raises
+        AbsError if a run never braked, or without matplotlib, and ConfigError for other values, or more sessions than
+        there are colours for.
         """
         from inteco_abs.views.figure import figure_of
+        from inteco_abs.views.figure_options import FigureOptions
 
-        return figure_of([self, *others], width)
+        options = FigureOptions(
+            style=style, width=width, font=font, font_size_pt=font_size_pt, title=title, panels=panels,
+            range_s=range_s, envelope=envelope,
+        )  # fmt: skip
+        return figure_of([self, *others], options)
 
     @speaks_of_arguments()
     def replay(

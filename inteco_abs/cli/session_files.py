@@ -10,6 +10,7 @@ from inteco_abs.cli.terminal import plain, say
 
 if TYPE_CHECKING:
     from inteco_abs.sessions import Session
+    from inteco_abs.views.figure_options import FigureOptions
 
 
 def read_whole(file: Path, reader: Callable[[Path], Session]) -> Session:
@@ -29,12 +30,12 @@ def report_losses(session: Session) -> None:
         say(f"inteco-abs: {session.path}: {plain(session.unsupported)}", err=True)
 
 
-def draw(files: Sequence[Path], out: Path, width: str = "two") -> bool:
+def draw(files: Sequence[Path], out: Path, options: FigureOptions | None = None) -> bool:
     """Draw stops to `out`; return whether every file was complete and fully understood."""
     from inteco_abs.sessions import read_session
     from inteco_abs.views.figure import draw_stops
 
     sessions = [read_whole(file, read_session) for file in files]
-    draw_stops(sessions, out, width)
+    draw_stops(sessions, out, *([options] if options else []))
     say(f"figure: {out}", err=True)
     return not any(session.incomplete or session.unsupported for session in sessions)

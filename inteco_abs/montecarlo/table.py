@@ -145,7 +145,7 @@ def figure_of_sweep(rows: Sequence[SweepRow]) -> Figure:
         panel.grid(alpha=0.3)
         panel.legend(loc="best", frameon=False, fontsize="x-small")
     panels[-1].set_xlim(left=0.0)
-    panels[-1].set_xlabel("slip RMS from 0.25 s on, true [1]")
+    panels[-1].set_xlabel("slip RMS from 0.25 s on, true")
     return figure
 
 

@@ -12,6 +12,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from inteco_abs.views.envelope import plot_envelope
 from inteco_abs.views.figure import COLOURS, new_figure, save_figure
 
 if TYPE_CHECKING:
@@ -154,7 +155,8 @@ def draw_trace(columns: Mapping[str, Any], title: str, path: Path) -> None:
     speeds.set_ylabel("speed [rad/s]")
     speeds.set_ylim(bottom=0.0)
     _slip(slip, columns)
-    torque.plot(time_s, columns["brake_torque_nm"], color=_RED, lw=1.0)
+    highest = float(max(columns["brake_torque_nm"]))
+    plot_envelope(torque, time_s, columns["brake_torque_nm"], top=highest, color=_RED, lw=1.0, label="torque")
     torque.set_ylabel("brake torque [N m]")
     torque.set_ylim(bottom=0.0)
     torque.set_xlabel("time since braking began [s]")
@@ -163,6 +165,7 @@ def draw_trace(columns: Mapping[str, Any], title: str, path: Path) -> None:
         panel.set_xlim(0.0, time_s[-1])
     speeds.legend(loc="upper right", frameon=False, fontsize="small")
     slip.legend(loc="upper left", frameon=False, fontsize="small")
+    torque.legend(loc="upper right", frameon=False, fontsize="small")
     figure.suptitle(title, fontsize="medium")
     save_figure(figure, path)
 
@@ -173,5 +176,5 @@ def _slip(panel: Axes, columns: Mapping[str, Any]) -> None:
         panel.plot(time_s, columns["slip_estimated"], color=_BLUE, lw=0.6, alpha=0.6, label="slip, estimated")
     panel.plot(time_s, columns["slip"], color=_RED, lw=1.2, label="slip, true")
     panel.plot(time_s, columns["slip_reference"], color="black", lw=1.0, ls="--", label="reference")
-    panel.set_ylabel("slip [1]")
+    panel.set_ylabel("slip")
     panel.set_ylim(0.0, 1.02)

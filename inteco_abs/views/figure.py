@@ -5,8 +5,7 @@ from __future__ import annotations
 import importlib.util
 import math
 import textwrap
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -19,6 +18,8 @@ from inteco_abs.format import TICK, TRUTH
 from inteco_abs.sessions import Session, atomic_write, check_output
 from inteco_abs.views.comparison import PALETTE, changes_s, held_spans, labels, require_distinct, since_s, start_ns
 from inteco_abs.views.decimation import Decimator
+from inteco_abs.views.envelope import plot_envelope
+from inteco_abs.views.figure_options import FigureOptions
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 COLOURS: Final = PALETTE[:3]
 """Blue, red and green of Okabe and Ito: distinct for every kind of colour vision."""
 _WHEEL, _ROAD, _OTHER = COLOURS
-FORMATS: Final = ("png", "svg", "pdf")
+FORMATS: Final = ("png", "svg", "pdf", "pgf")
 _DASHES: Final = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1.5, 1, 1.5)), (0, (8, 2)), (0, (3, 1, 1, 1, 1, 1)))
 """One for each colour of the palette, for prints in grey."""
 _BEFORE_S: Final = 0.2
@@ -49,33 +50,22 @@ _LOCKED: Final = 0.9
 _WHOLE_SLIP: Final = 1.02
 _SLIP_AIR: Final = 1.2
 _SLIP_STEP: Final = 0.05
+_TOP_NM: Final = 10.0
 _SALT: Final = "inteco-abs"
 """Fixes names inside an SVG, which are otherwise random."""
-
+_PLAIN: Final = FigureOptions()
 
 Array = npt.NDArray[Any]
 
 
-class FigureSize(NamedTuple):
-    """Size of a figure, its font, and letters in a line of its labels."""
-
-    width_mm: float
-    height_mm: float
-    font_pt: float
-    label_letters: int
-
-
-WIDTHS: Final = {"one": FigureSize(88.0, 135.0, 7.0, 56), "two": FigureSize(180.0, 165.0, 8.0, 115)}
-"""Sizes by number of columns on a journal's page."""
-
-
 class _DrawnSession(NamedTuple):
-    """A session to draw, and the start and end of its time axis."""
+    """A session to draw, and its part of the time axis."""
 
     ticks: Array
     truth: Array
     label: str
     start_ns: int
+    begin_s: float
     end_s: float
 
 
@@ -104,79 +94,85 @@ def new_figure(width_inch: float, height_inch: float) -> Figure:
     return InlineFigure((width_inch, height_inch), layout="constrained")
 
 
-def draw_stops(sessions: Sequence[Session], path: Path, width: str = "two") -> None:
-    """Draw the braking part of `sessions` to `path` (.png, .svg or .pdf); `width` is one of `WIDTHS`.
+def draw_stops(sessions: Sequence[Session], path: Path, options: FigureOptions = _PLAIN) -> None:
+    """Draw the braking part of `sessions` to `path`, in one of `FORMATS`.
 
     One session is drawn with all curves of each panel; of several, a legend names what differs. The same sessions give
     the same file. Raises ConfigError for too many sessions, AbsError if one never braked, or without matplotlib.
     """
     check_figure(path)
-    save_figure(figure_of(sessions, width), path, _DPI)
+    save_figure(figure_of(sessions, options), path, _DPI)
 
 
-def figure_of(sessions: Sequence[Session], width: str = "two") -> Figure:
+def figure_of(sessions: Sequence[Session], options: FigureOptions = _PLAIN) -> Figure:
     """The figure of `draw_stops` as a matplotlib object. Raises the same errors."""
     require_matplotlib()
-    if width not in WIDTHS:
-        raise ConfigError.of("width", f"{width!r}: must be one of {', '.join(WIDTHS)}")
+    from matplotlib import rc_context  # noqa: PLC0415  heavy, and an extra
+
     require_distinct(sessions)
-    with _style(WIDTHS[width]):
-        return _drawn(sessions, WIDTHS[width])
+    with rc_context(options.rc()):
+        return _drawn(sessions, options)
 
 
 def svg_of(sessions: Sequence[Session]) -> bytes:
     """Return the figure as SVG, two columns wide, decimated for print. Raises AbsError."""
     require_matplotlib()
-    with _style(WIDTHS["two"]):
+    from matplotlib import rc_context  # noqa: PLC0415  heavy, and an extra
+
+    with rc_context(_PLAIN.rc()):
         data = BytesIO()
-        _drawn(sessions, WIDTHS["two"], _PRINTED_POINTS).savefig(data, format="svg", metadata={"Date": None})
+        _drawn(sessions, _PLAIN, _PRINTED_POINTS).savefig(data, format="svg", metadata={"Date": None})
         return data.getvalue()
 
 
 def save_figure(figure: Figure, path: Path, dpi: float = 150.0) -> None:
-    """Write `figure` in the format of its suffix, without date and reproducibly. Raises AbsError."""
+    """Write `figure` in the format of its suffix, without date and reproducibly. Raises AbsError.
+
+    In an SVG text stays text, in a PDF fonts are TrueType, and PGF takes the fonts of the LaTeX document.
+    """
     from matplotlib import rc_context  # noqa: PLC0415  heavy, and an extra
 
     undated: dict[str, dict[str, Any]] = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
     try:
-        with rc_context({"svg.hashsalt": _SALT, "pdf.fonttype": _TRUETYPE}):
-            form, metadata = path.suffix.removeprefix("."), undated.get(path.suffix, {})
-            with atomic_write(path) as part:
+        with (
+            rc_context({"svg.hashsalt": _SALT, "svg.fonttype": "none", "pdf.fonttype": _TRUETYPE}),
+            atomic_write(path) as part,
+        ):
+            if path.suffix == ".pgf":
+                from inteco_abs.views.pgf import pgf_of  # noqa: PLC0415  heavy, and an extra
+
+                part.write_text(pgf_of(figure, path.name), encoding="utf-8")
+            else:
+                form, metadata = path.suffix.removeprefix("."), undated.get(path.suffix, {})
                 figure.savefig(part, format=form, dpi=dpi, metadata=metadata)
     except OSError as error:
         raise AbsError(f"{path}: the figure cannot be written: {describe_disk(error)}") from error
 
 
-@contextmanager
-def _style(width: FigureSize) -> Iterator[None]:
-    from matplotlib import rc_context  # noqa: PLC0415  heavy, and an extra
-
-    with rc_context({"font.size": width.font_pt, "axes.linewidth": 0.6}):
-        yield
-
-
-def _drawn(sessions: Sequence[Session], width: FigureSize, most: int = _DRAWN_POINTS) -> Figure:
+def _drawn(sessions: Sequence[Session], options: FigureOptions, most: int = _DRAWN_POINTS) -> Figure:
     """The figure, with lines of about `most` points."""
-    parts = [_part(session, label, most) for session, label in zip(sessions, labels(sessions), strict=True)]
-    figure = new_figure(width.width_mm / _MM_PER_INCH, width.height_mm / _MM_PER_INCH)
-    axes = figure.subplots(3, sharex=True)
-    if len(parts) == 1:
-        _alone(axes, parts[0])
-        figure.suptitle(_wrapped(parts[0].label, width), fontsize="medium", parse_math=False)
-    else:
-        _compared(axes, parts)
-        _name_sessions(figure, axes[0], parts, width)
-    _mark_changes(axes, sessions)
-    axes[0].set_ylabel("speed [rad/s]")
-    axes[0].set_ylim(bottom=0.0)
-    axes[1].set_ylim(0.0, slip_top(highest_slip(rows) for part in parts for rows in _slip_rows(part, parts)))
-    axes[2].set_ylim(-0.2, 10.0)
-    axes[2].set_xlabel("time since braking began [s]")
-    for panel in axes:
+    named = zip(sessions, labels(sessions), strict=True)
+    parts = [_part(session, label, options.range_s, most) for session, label in named]
+    size = options.size
+    figure = new_figure(size.width_mm / _MM_PER_INCH, size.height_mm / _MM_PER_INCH)
+    panels = list(figure.subplots(len(options.drawn), sharex=True, squeeze=False)[:, 0])
+    axes = dict(zip(options.drawn, panels, strict=True))
+    draw = _ALONE if len(parts) == 1 else _COMPARED
+    for name, panel in axes.items():
+        draw[name](panel, parts, options)
         panel.grid(alpha=0.3)
-        if panel.get_legend_handles_labels()[0]:
-            panel.legend(loc="upper right", frameon=False, fontsize="small")
-        panel.set_xlim(-_BEFORE_S, max(part.end_s for part in parts))
+        panel.set_xlim(min(part.begin_s for part in parts), max(part.end_s for part in parts))
+    panels[-1].set_xlabel(options.with_unit("time since braking began", "s"))
+    _mark_changes(panels, sessions)
+    for panel in panels:
+        if named := panel.get_legend_handles_labels()[0]:  # above the panel, where no curve can be
+            where: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.0}
+            row: dict[str, Any] = {"ncols": len(named), "borderpad": 0.2, "handlelength": 1.6, "columnspacing": 1.2}
+            panel.legend(frameon=False, fontsize=options.legend, **where, **row)
+    if len(parts) > 1:
+        _name_sessions(figure, parts, options)
+    elif options.titled:
+        figure.suptitle(_wrapped(parts[0].label, options), fontsize="medium", parse_math=False)
     return figure
 
 
@@ -188,7 +184,7 @@ def _mark_changes(axes: Sequence[Axes], sessions: Sequence[Session]) -> None:
             looks: dict[str, Any] = {"colors": colour, "lw": 0.6, "ls": (0, (1, 2))}
             for panel in axes:
                 whole = panel.get_xaxis_transform()
-                panel.vlines(times_s, 0.0, 1.0, transform=whole, label=label if panel is axes[2] else "", **looks)
+                panel.vlines(times_s, 0.0, 1.0, transform=whole, label=label if panel is axes[-1] else "", **looks)
             label = ""
 
 
@@ -220,7 +216,7 @@ def _slip_rows(part: _DrawnSession, parts: Sequence[_DrawnSession]) -> Iterator[
     elif _true(parts):
         drawn = [part.truth, part.ticks[["time_ns", "road_speed_rad_s", "slip_reference"]]]
     for rows in drawn:
-        yield rows[_shown(rows, part.start_ns, part.end_s)]
+        yield rows[_shown(rows, part.start_ns, part.begin_s, part.end_s)]
 
 
 def _true(parts: Sequence[_DrawnSession]) -> bool:
@@ -233,33 +229,37 @@ def _slip(rows: Array) -> Array:
     return np.where(rows["road_speed_rad_s"] >= _AT_REST_RAD_S, rows["slip"], np.nan)
 
 
-def _part(session: Session, label: str, most: int) -> _DrawnSession:
+def _part(session: Session, label: str, range_s: tuple[float, float] | None, most: int) -> _DrawnSession:
     held = held_spans(session)
     if not held:
         raise AbsError(f"{session.path}: the run ended before braking; there is nothing to draw")
     start = start_ns(session)
-    end_s = float((held[-1].last_ns - start) * 1e-9)
+    last_s = float((held[-1].last_ns - start) * 1e-9)
+    begin_s, end_s = range_s or (-_BEFORE_S, last_s)
+    if begin_s >= last_s:
+        problem = f"{begin_s:g} {end_s:g}: {session.path} ends {last_s:.3f} s after braking began"
+        raise ConfigError.of("--range", problem)
     if max(session.tick_count, session.truth_count) <= most:
-        return _DrawnSession(session.ticks, session.truth, label, start, end_s)
+        return _DrawnSession(session.ticks, session.truth, label, start, begin_s, end_s)
     numbers = [0, 0]
     for block in session.blocks():
         for at, rows in enumerate(block):
-            numbers[at] += int(_shown(rows, start, end_s).sum())
+            numbers[at] += int(_shown(rows, start, begin_s, end_s).sum())
     names = [[name for name in _DRAWN if name in (message.dtype.names or ())] for message in (TICK, TRUTH)]
     thinned = [Decimator(of, 0, number, most) for of, number in zip(names, numbers, strict=True)]
     for block in session.blocks():
         for rows, of, decimator in zip(block, names, thinned, strict=True):
-            shown = rows[_shown(rows, start, end_s)]
+            shown = rows[_shown(rows, start, begin_s, end_s)]
             decimator.add({name: shown[name] for name in of}, since_s(shown, start), np.zeros(len(shown), bool))
     ticks, truth = (
         _few(message.dtype, decimator, start) for message, decimator in zip((TICK, TRUTH), thinned, strict=True)
     )
-    return _DrawnSession(ticks, truth, label, start, end_s)
+    return _DrawnSession(ticks, truth, label, start, begin_s, end_s)
 
 
-def _shown(rows: Array, start: int, end_s: float) -> Array:
+def _shown(rows: Array, start: int, begin_s: float, end_s: float) -> Array:
     time_s = since_s(rows, start)
-    shown: Array = (time_s >= -_BEFORE_S) & (time_s <= end_s)
+    shown: Array = (time_s >= begin_s) & (time_s <= end_s)
     return shown
 
 
@@ -273,59 +273,113 @@ def _few(dtype: np.dtype[np.void], decimator: Decimator, start: int) -> Array:
     return few
 
 
-def _wrapped(label: str, width: FigureSize) -> str:
-    return textwrap.fill(label, width.label_letters, max_lines=2, placeholder=" ...")
+def _wrapped(label: str, options: FigureOptions) -> str:
+    return textwrap.fill(label, options.size.label_letters, max_lines=2, placeholder=" ...")
 
 
-def _alone(axes: Sequence[Axes], part: _DrawnSession) -> None:
-    ticks, truth = part.ticks, part.truth
-    time_s, truth_s = since_s(ticks, part.start_ns), since_s(truth, part.start_ns)
-    speeds, slip, torque = axes
-    speeds.plot(time_s, ticks["road_speed_rad_s"], color=_ROAD, lw=1.2, label="road wheel (car)")
-    speeds.plot(time_s, ticks["wheel_speed_rad_s"], color=_WHEEL, lw=1.2, ls="--", label="braked wheel")
-    slip.plot(time_s, _slip(ticks), color=_WHEEL, lw=0.8, alpha=0.6, label="slip, estimated")
-    torque.plot(time_s, ticks["torque_demand_nm"], color=_WHEEL, lw=0.8, alpha=0.6, label="torque, asked")
-    if len(truth):
-        slip.plot(truth_s, _slip(truth), color=_ROAD, lw=1.2, label="slip, true")
-        torque.plot(truth_s, truth["brake_torque_nm"], color=_ROAD, lw=1.2, label="torque, true")
-    slip.plot(time_s, ticks["slip_reference"], color="black", lw=1.0, ls="--", label="reference")
-    slip.set_ylabel("slip [1]")
-    torque.set_ylabel("brake torque [N m]")
-    duty = torque.twinx()
+def _speeds(panel: Axes, options: FigureOptions) -> None:
+    panel.set_ylabel(options.with_unit("speed", "rad/s"))
+    panel.set_ylim(bottom=0.0)
+
+
+def _slips(panel: Axes, parts: Sequence[_DrawnSession]) -> None:
+    panel.set_ylim(0.0, slip_top(highest_slip(rows) for part in parts for rows in _slip_rows(part, parts)))
+
+
+def _torques(panel: Axes, part: _DrawnSession, rows: Array, name: str, options: FigureOptions, **looks: Any) -> None:
+    """A curve of the torque panel, as a range where it chatters."""
+    time_s = since_s(rows, part.start_ns)
+    if not options.envelope:
+        panel.plot(time_s, rows[name], **looks)
+        return
+    shown = _shown(rows, part.start_ns, part.begin_s, part.end_s)
+    plot_envelope(panel, time_s[shown], rows[name][shown], top=panel.get_ylim()[1], **looks)
+
+
+def _alone_speeds(panel: Axes, parts: Sequence[_DrawnSession], options: FigureOptions) -> None:
+    (part,) = parts
+    time_s = since_s(part.ticks, part.start_ns)
+    panel.plot(time_s, part.ticks["road_speed_rad_s"], color=_ROAD, lw=1.2, label="road wheel (car)")
+    panel.plot(time_s, part.ticks["wheel_speed_rad_s"], color=_WHEEL, lw=1.2, ls="--", label="braked wheel")
+    _speeds(panel, options)
+
+
+def _alone_slip(panel: Axes, parts: Sequence[_DrawnSession], _options: FigureOptions) -> None:
+    (part,) = parts
+    time_s = since_s(part.ticks, part.start_ns)
+    panel.plot(time_s, _slip(part.ticks), color=_WHEEL, lw=0.8, alpha=0.6, label="estimated")
+    if len(part.truth):
+        truth_s = since_s(part.truth, part.start_ns)
+        panel.plot(truth_s, _slip(part.truth), color=_ROAD, lw=1.2, label="true")
+    panel.plot(time_s, part.ticks["slip_reference"], color="black", lw=1.0, ls="--", label="reference")
+    panel.set_ylabel("slip")
+    _slips(panel, parts)
+
+
+def _alone_torque(panel: Axes, parts: Sequence[_DrawnSession], options: FigureOptions) -> None:
+    (part,) = parts
+    panel.set_ylim(-0.2, _TOP_NM)
+    asked: dict[str, Any] = {"color": _WHEEL, "lw": 0.8, "alpha": 0.6, "label": "asked"}
+    _torques(panel, part, part.ticks, "torque_demand_nm", options, **asked)
+    if len(part.truth):
+        true: dict[str, Any] = {"color": _ROAD, "lw": 1.2, "label": "true"}
+        _torques(panel, part, part.truth, "brake_torque_nm", options, **true)
+    panel.set_ylabel(options.with_unit("brake torque", "N m"))
+    duty = panel.twinx()
     looks: dict[str, Any] = {"color": _OTHER, "lw": 0.8, "ls": ":"}
-    duty.plot(time_s, ticks["brake"], label="brake duty", **looks)
-    torque.plot([], [], label="brake duty, right axis", **looks)
-    duty.set_ylabel("brake duty [1]", color=_OTHER)
     duty.set_ylim(-0.02, 1.0)
+    _torques(duty, part, part.ticks, "brake", options, label="brake duty", **looks)
+    panel.plot([], [], label="duty", **looks)
+    duty.set_ylabel("brake duty", color=_OTHER)
 
 
-def _compared(axes: Sequence[Axes], parts: Sequence[_DrawnSession]) -> None:
-    true = _true(parts)
-    speeds, slip, torque = axes
+def _looks(parts: Sequence[_DrawnSession]) -> Iterator[tuple[_DrawnSession, dict[str, Any]]]:
     for part, colour, dash in zip(parts, PALETTE, _DASHES, strict=False):
-        ticks = part.ticks
-        time_s = since_s(ticks, part.start_ns)
-        looks: dict[str, Any] = {"color": colour, "ls": dash}
-        speeds.plot(time_s, ticks["road_speed_rad_s"], lw=1.4, **looks)
-        speeds.plot(time_s, ticks["wheel_speed_rad_s"], lw=0.7, **looks)
-        rows = part.truth if true else ticks
-        rows_s = since_s(rows, part.start_ns)
-        slip.plot(rows_s, _slip(rows), lw=1.0, **looks)
-        torque.plot(rows_s, rows["brake_torque_nm" if true else "torque_demand_nm"], lw=1.0, **looks)
-        slip.plot(time_s, ticks["slip_reference"], color="black", lw=0.8, ls=":")
-    slip.get_lines()[-1].set_label("reference")
-    slip.set_ylabel("slip, true [1]" if true else "slip, estimated [1]")
-    torque.set_ylabel("brake torque, true [N m]" if true else "brake torque, asked [N m]")
+        yield part, {"color": colour, "ls": dash}
 
 
-def _name_sessions(figure: Figure, speeds: Axes, parts: Sequence[_DrawnSession], width: FigureSize) -> None:
+def _compared_speeds(panel: Axes, parts: Sequence[_DrawnSession], options: FigureOptions) -> None:
+    for part, looks in _looks(parts):
+        time_s = since_s(part.ticks, part.start_ns)
+        panel.plot(time_s, part.ticks["road_speed_rad_s"], lw=1.4, **looks)
+        panel.plot(time_s, part.ticks["wheel_speed_rad_s"], lw=0.7, **looks)
+    panel.plot([], [], color="black", lw=1.4, label="road wheel (car)")
+    panel.plot([], [], color="black", lw=0.7, label="braked wheel")
+    _speeds(panel, options)
+
+
+def _compared_slip(panel: Axes, parts: Sequence[_DrawnSession], _options: FigureOptions) -> None:
+    true = _true(parts)
+    for part, looks in _looks(parts):
+        rows = part.truth if true else part.ticks
+        panel.plot(since_s(rows, part.start_ns), _slip(rows), lw=1.0, **looks)
+        time_s = since_s(part.ticks, part.start_ns)
+        panel.plot(time_s, part.ticks["slip_reference"], color="black", lw=0.8, ls=":")
+    panel.get_lines()[-1].set_label("reference")
+    panel.set_ylabel("slip, true" if true else "slip, estimated")
+    _slips(panel, parts)
+
+
+def _compared_torque(panel: Axes, parts: Sequence[_DrawnSession], options: FigureOptions) -> None:
+    true = _true(parts)
+    panel.set_ylim(-0.2, _TOP_NM)
+    for part, looks in _looks(parts):
+        rows, name = (part.truth, "brake_torque_nm") if true else (part.ticks, "torque_demand_nm")
+        _torques(panel, part, rows, name, options, lw=1.0, **looks)
+    panel.set_ylabel(options.with_unit(f"brake torque, {'true' if true else 'asked'}", "N m"))
+
+
+_Panel = Callable[[Any, Sequence[_DrawnSession], FigureOptions], None]
+_ALONE: Final[Mapping[str, _Panel]] = {"speed": _alone_speeds, "slip": _alone_slip, "torque": _alone_torque}
+_COMPARED: Final[Mapping[str, _Panel]] = {"speed": _compared_speeds, "slip": _compared_slip, "torque": _compared_torque}
+
+
+def _name_sessions(figure: Figure, parts: Sequence[_DrawnSession], options: FigureOptions) -> None:
     from matplotlib.lines import Line2D  # noqa: PLC0415  heavy, and an extra
 
-    looks = zip(parts, PALETTE, _DASHES, strict=False)
-    lines = [Line2D([], [], color=colour, ls=dash, lw=1.4) for _, colour, dash in looks]
-    names = [_wrapped(part.label, width) for part in parts]
-    legend = figure.legend(lines, names, loc="outside upper center", frameon=False, fontsize="small", handlelength=4.0)
+    lines = [Line2D([], [], lw=1.4, **looks) for _, looks in _looks(parts)]
+    names = [_wrapped(part.label, options) for part in parts]
+    where: dict[str, Any] = {"loc": "outside upper center", "handlelength": 4.0}
+    legend = figure.legend(lines, names, frameon=False, fontsize=options.legend, **where)
     for text in legend.get_texts():
         text.set_parse_math(False)  # a name is not a formula
-    speeds.plot([], [], color="black", lw=1.4, label="road wheel (car)")
-    speeds.plot([], [], color="black", lw=0.7, label="braked wheel")

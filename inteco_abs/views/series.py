@@ -21,7 +21,7 @@ from inteco_abs.views.result_panel import ROWS
 _HEADINGS: Final = ("n", "mean", "std dev", "smallest", "largest", "per stop")
 _BEFORE_S: Final = 0.2
 _PANELS: Final = (
-    ("wheel_speed_rad_s", "wheel speed [rad/s]"), ("slip", "slip, estimated [1]"), ("brake", "brake duty [1]"),
+    ("wheel_speed_rad_s", "wheel speed [rad/s]"), ("slip", "slip, estimated"), ("brake", "brake duty"),
 )  # fmt: skip
 _AT_REST_RAD_S: Final = 1.0
 _POINTS: Final = 4000

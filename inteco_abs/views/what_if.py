@@ -28,9 +28,9 @@ _MOST: Final = 7
 """Alternatives that a figure can distinguish."""
 _COLOURS: Final = (*PALETTE, "#f0e442")
 _PANELS: Final = (
-    ("slip", "slip [1]", (0.0, 1.02)),
+    ("slip", "slip", (0.0, 1.02)),
     ("torque_demand_nm", "demanded torque [N m]", (-0.5, 12.0)),
-    ("brake_request", "requested brake duty [1]", (-0.02, 1.05)),
+    ("brake_request", "requested brake duty", (-0.02, 1.05)),
 )
 _MARGIN_S: Final = 0.1
 _REQUESTS: Final = {"slip": "slip, 1", "torque_demand_nm": "torque, N m", "brake_request": "brake duty, 1"}

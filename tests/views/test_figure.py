@@ -1,4 +1,5 @@
 import math
+import subprocess
 from dataclasses import replace
 
 import numpy as np
@@ -7,12 +8,14 @@ from matplotlib.figure import Figure
 
 from inteco_abs.errors import AbsError, ConfigError
 from inteco_abs.signals import Phase
-from inteco_abs.views.figure import FORMATS, WIDTHS, check_figure, draw_stops, highest_slip, slip_top, svg_of
+from inteco_abs.views.envelope import LABEL, envelope
+from inteco_abs.views.figure import FORMATS, check_figure, draw_stops, figure_of, highest_slip, slip_top, svg_of
+from inteco_abs.views.figure_options import STYLES, FigureOptions
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
-DUTY = "brake duty, right axis"
-MAGIC = {"png": b"\x89PNG\r\n\x1a\n", "svg": b"<?xml", "pdf": b"%PDF-"}
+DUTY = "duty"
+MAGIC = {"png": b"\x89PNG\r\n\x1a\n", "svg": b"<?xml", "pdf": b"%PDF-", "pgf": b"%% In the preamble"}
 
 
 @pytest.fixture
@@ -22,7 +25,7 @@ def drawn(monkeypatch, tmp_path):
     def draw(*sessions, **options) -> Figure:
         saved = []
         monkeypatch.setattr(Figure, "savefig", lambda self, file, **_: (saved.append(self), file.touch()))
-        draw_stops(sessions, tmp_path / "stop.png", **options)
+        draw_stops(sessions, tmp_path / "stop.png", FigureOptions(**options))
         (tmp_path / "stop.png").unlink()
         (figure,) = saved
         return figure
@@ -55,7 +58,7 @@ def test_the_file_is_what_its_name_says(session, tmp_path, suffix):
 @pytest.mark.parametrize("name", ["stop.jpg", "stop", "stop.", "png", ".png", "stop.mcap", "stop.png.gz"])
 def test_another_suffix_is_refused_and_nothing_is_written(session, tmp_path, name):
     for refuse in (check_figure, lambda path: draw_stops([session], path)):
-        with pytest.raises(ConfigError, match=r"--figure: .* must end in \.png, \.svg, \.pdf"):
+        with pytest.raises(ConfigError, match=r"--figure: .* must end in \.png, \.svg, \.pdf, \.pgf"):
             refuse(tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 
@@ -112,9 +115,9 @@ def test_every_axis_has_a_label_with_its_unit(session, drawn):
     axes = drawn(session).axes
     assert [panel.get_ylabel() for panel in axes] == [
         "speed [rad/s]",
-        "slip [1]",
+        "slip",
         "brake torque [N m]",
-        "brake duty [1]",
+        "brake duty",
     ]
     assert axes[2].get_xlabel() == "time since braking began [s]"
 
@@ -127,8 +130,8 @@ def slip_shown(rows):
 def test_every_panel_shows_its_signals(session, drawn):
     speeds, slip, torque, duty = drawn(session).axes
     assert lines_of(speeds).keys() == {"road wheel (car)", "braked wheel"}
-    assert lines_of(slip).keys() == {"slip, estimated", "slip, true", "reference"}
-    assert lines_of(torque).keys() == {"torque, asked", "torque, true", DUTY}
+    assert lines_of(slip).keys() == {"estimated", "true", "reference"}
+    assert lines_of(torque).keys() == {"asked", "true", DUTY}
     assert lines_of(duty).keys() == {"brake duty"}
 
 
@@ -137,14 +140,14 @@ def test_every_panel_shows_its_signals(session, drawn):
     [
         (0, "road wheel (car)", "road_speed_rad_s"),
         (0, "braked wheel", "wheel_speed_rad_s"),
-        (1, "slip, estimated", "slip"),
+        (1, "estimated", "slip"),
         (1, "reference", "slip_reference"),
-        (2, "torque, asked", "torque_demand_nm"),
+        (2, "asked", "torque_demand_nm"),
         (3, "brake duty", "brake"),
     ],
 )
 def test_a_line_is_its_column_over_the_time_since_braking_began(session, drawn, panel, label, column):
-    line, ticks = lines_of(drawn(session).axes[panel])[label], session.ticks
+    line, ticks = lines_of(drawn(session, envelope=False).axes[panel])[label], session.ticks
     first = int(np.flatnonzero(ticks["phase"] == Phase.BRAKING)[0])
     expected = slip_shown(ticks) if column == "slip" else ticks[column]
     np.testing.assert_array_equal(line.get_ydata(), expected)
@@ -153,15 +156,15 @@ def test_a_line_is_its_column_over_the_time_since_braking_began(session, drawn, 
 
 
 def test_true_lines_are_the_truth(session, drawn):
-    _, slip, torque, _ = drawn(session).axes
-    np.testing.assert_array_equal(lines_of(slip)["slip, true"].get_ydata(), slip_shown(session.truth))
-    np.testing.assert_array_equal(lines_of(torque)["torque, true"].get_ydata(), session.truth["brake_torque_nm"])
+    _, slip, torque, _ = drawn(session, envelope=False).axes
+    np.testing.assert_array_equal(lines_of(slip)["true"].get_ydata(), slip_shown(session.truth))
+    np.testing.assert_array_equal(lines_of(torque)["true"].get_ydata(), session.truth["brake_torque_nm"])
 
 
 def test_a_real_rig_has_no_true_lines(session, drawn):
     _, slip, torque, _ = drawn(session.with_rows(truth=session.truth[:0])).axes
-    assert "slip, true" not in lines_of(slip)
-    assert lines_of(torque).keys() == {"torque, asked", DUTY}
+    assert "true" not in lines_of(slip)
+    assert lines_of(torque).keys() == {"asked", DUTY}
 
 
 def test_the_panels_share_the_time_from_just_before_braking_to_the_end(session, drawn):
@@ -216,7 +219,7 @@ def test_every_line_is_named_in_a_legend_or_by_the_colour_of_its_axis(session, d
     for panel in drawn(session).axes:
         legend = panel.get_legend()
         if legend:
-            assert {text.get_text() for text in legend.get_texts()} == lines_of(panel).keys()
+            assert {text.get_text() for text in legend.get_texts()} - {LABEL} == lines_of(panel).keys()
         else:
             assert {line.get_color() for line in panel.get_lines()} == {panel.yaxis.label.get_color()}
 
@@ -233,13 +236,120 @@ def test_the_same_sessions_give_the_same_file(session, others, tmp_path, suffix)
     assert files[0].read_bytes() == files[1].read_bytes()
 
 
-@pytest.mark.parametrize(("width", "millimetres"), [("one", 88.0), ("two", 180.0)])
-def test_a_figure_is_as_wide_as_the_columns_of_a_journal(session, drawn, width, millimetres):
-    assert drawn(session, width=width).get_size_inches()[0] * 25.4 == pytest.approx(millimetres)
+@pytest.mark.parametrize(
+    ("style", "width", "millimetres"),
+    [
+        ("plain", "one", 88.0),
+        ("plain", "two", 180.0),
+        ("ieee", "one", 88.9),
+        ("ieee", "two", 182.0),
+        ("elsevier", "one", 90.0),
+        ("elsevier", "two", 190.0),
+    ],
+)
+def test_a_figure_is_as_wide_as_the_columns_of_a_journal(style, width, millimetres):
+    assert FigureOptions(style=style, width=width).size.width_mm == millimetres
+
+
+def test_a_journals_figure_has_its_font_and_no_title(session, drawn):
+    figure = drawn(session, style="ieee", width="one")
+    speeds = figure.axes[0]
+    assert figure.get_size_inches()[0] * 25.4 == pytest.approx(88.9)
+    assert figure.get_suptitle() == ""
+    assert "serif" in speeds.yaxis.label.get_family()
+    assert speeds.yaxis.label.get_size() == 9.0
+    assert speeds.get_ylabel() == "speed (rad/s)"
+
+
+def test_panels_range_title_and_font_are_chosen(session, drawn):
+    figure = drawn(session, panels=["slip"], range_s=(0.1, 0.2), font="DejaVu Serif", font_size_pt=11.0, title=False)
+    (slip,) = figure.axes
+    assert figure.get_suptitle() == ""
+    assert slip.get_xlim() == (0.1, 0.2)
+    assert slip.get_xlabel() == "time since braking began [s]"
+    assert slip.get_ylabel() == "slip"
+    assert slip.yaxis.label.get_family() == ["DejaVu Serif", "serif"]
+    assert slip.yaxis.label.get_size() == 11.0
+    assert figure.get_size_inches()[1] * 25.4 == pytest.approx(25.0 + 140.0 / 3.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"style": "nature"}, "--style: 'nature': must be one of plain, ieee, elsevier"),
+        ({"width": "three"}, "--width: 'three': must be one of one, two"),
+        ({"panels": ["slip", "speeds"]}, "--panels: .*must be one or several of speed, slip, torque"),
+        ({"panels": []}, "--panels"),
+        ({"panels": "slip"}, "--panels"),
+        ({"font": "Comic Papyrus"}, "--font: Comic Papyrus: not an installed font"),
+        ({"font_size_pt": 2.0}, r"--font-size: 2\.0: must be in 5\.\.20 pt"),
+        ({"range_s": (1.0, 0.5)}, "--range: 1 0.5: must be two times that rise"),
+        ({"range_s": (0.0, math.nan)}, "--range"),
+        ({"range_s": (99.0, 100.0)}, r"--range: 99 100: .*\.mcap ends .* s after braking began"),
+    ],
+)
+def test_an_option_that_is_not_possible_is_refused(session, options, words):
+    with pytest.raises(ConfigError, match=words):
+        figure_of([session], FigureOptions(**options))
+
+
+def test_what_chatters_has_a_range_and_a_mean_and_nothing_else_has():
+    time_s = np.arange(2000) * 0.0005
+    square = np.where(np.arange(2000) // 2 % 2, 4.0, 2.0)
+    ramp = time_s * 10.0 + 0.01 * (np.arange(2000) % 2)
+    found = envelope(square, 14, 0.3)
+    assert found.chatters[20:-20].all()
+    assert (found.low[20:-20], found.high[20:-20]) == (pytest.approx(2.0), pytest.approx(4.0))
+    assert found.values[20:-20] == pytest.approx(3.0, abs=0.15)
+    for calm in (ramp, np.sin(time_s * 60.0), np.ones(2000), square[:3], np.where(time_s < 0.5, 2.0, 4.0)):
+        found = envelope(calm, 14, 0.3)
+        assert not found.chatters.any()
+        np.testing.assert_array_equal(found.values, calm)
+    mixed = envelope(np.concatenate([ramp, square]), 14, 0.3)
+    assert not mixed.chatters[:1980].any()
+    assert mixed.chatters[2020:-20].all()
+
+
+def test_a_chattering_torque_is_drawn_as_a_range(session, drawn):
+    ticks = session.ticks.copy()
+    ticks["torque_demand_nm"] = np.where(np.arange(len(ticks)) % 2, 6.0, 2.0)
+    _, _, torque, _ = drawn(session.with_rows(ticks)).axes
+    assert LABEL in torque.get_legend_handles_labels()[1]
+    asked = np.asarray(lines_of(torque)["asked"].get_ydata())
+    assert asked[20:-20] == pytest.approx(4.0, abs=0.7)
+    _, _, torque, _ = drawn(session.with_rows(ticks), envelope=False).axes
+    assert LABEL not in torque.get_legend_handles_labels()[1]
+
+
+def test_the_text_of_an_svg_is_text(session, tmp_path):
+    draw_stops([session], tmp_path / "stop.svg")
+    assert "time since braking began [s]</text>" in (tmp_path / "stop.svg").read_text()
+
+
+def test_pgf_has_the_documents_fonts_and_no_command_in_a_name(session, others, with_facts, tmp_path):
+    odd = with_facts(others[1], "controller", name=r"50 %_#{$\x^~")
+    draw_stops([session, odd], tmp_path / "stop.pgf", FigureOptions(style="ieee"))
+    text = (tmp_path / "stop.pgf").read_text()
+    assert r"50 \%\_\#\{\$\textbackslash{}x\textasciicircum{}\textasciitilde{}" in text
+    assert r"\rmfamily" in text
+    assert "fontspec" not in text
+    assert text.count(r"\begin{pgfscope}") == text.count(r"\end{pgfscope}") > 100
+
+
+@pytest.mark.long
+def test_latex_typesets_pgf(session, others, with_facts, tmp_path):
+    odd = with_facts(others[1], "controller", name=r"50 %_#{$\x^~ −1")
+    draw_stops([session, odd], tmp_path / "stop.pgf", FigureOptions(style="elsevier", width="one"))
+    document = r"\documentclass{article}\usepackage{pgf}\begin{document}\input{stop.pgf}\end{document}"
+    (tmp_path / "paper.tex").write_text(document)
+    words = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "paper.tex"]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-2000:]
+    assert (tmp_path / "paper.pdf").read_bytes().startswith(b"%PDF-")
 
 
 def test_two_columns_are_the_default(session, drawn):
-    assert drawn(session).get_size_inches()[0] * 25.4 == pytest.approx(WIDTHS["two"].width_mm)
+    assert drawn(session).get_size_inches()[0] * 25.4 == pytest.approx(STYLES["plain"].widths["two"].width_mm)
 
 
 def legend_of(figure):
@@ -248,12 +358,12 @@ def legend_of(figure):
 
 
 def test_several_sessions_lie_over_one_another_and_are_named_by_what_differs(session, others, drawn):
-    figure = drawn(session, *others)
+    figure = drawn(session, *others, envelope=False)
     assert legend_of(figure) == ["reaching-law, Mk 2, Mq 1", "reaching-law, Mk 10, Mq 4", "relay"]
     speeds, slip, torque = figure.axes
     assert [panel.get_ylabel() for panel in figure.axes] == [
         "speed [rad/s]",
-        "slip, true [1]",
+        "slip, true",
         "brake torque, true [N m]",
     ]
     for each in (session, *others):
@@ -273,7 +383,7 @@ def test_sessions_differ_in_grey_too(session, others, drawn):
 def test_a_curve_that_one_session_lacks_is_shown_for_none(session, others, drawn):
     real = others[0].with_rows(truth=others[0].truth[:0])
     _, slip, torque = drawn(session, real).axes
-    assert (slip.get_ylabel(), torque.get_ylabel()) == ("slip, estimated [1]", "brake torque, asked [N m]")
+    assert (slip.get_ylabel(), torque.get_ylabel()) == ("slip, estimated", "brake torque, asked [N m]")
     assert not any(
         np.array_equal(line.get_ydata(), slip_shown(session.truth), equal_nan=True) for line in slip.get_lines()
     )
@@ -282,7 +392,7 @@ def test_a_curve_that_one_session_lacks_is_shown_for_none(session, others, drawn
 def test_a_name_is_not_a_formula_and_a_long_one_is_cut(session, others, with_facts, tmp_path):
     odd = with_facts(others[1], "controller", name=r"$\nothing{$ " + "very " * 200 + "long")
     for name, sessions in (("alone.svg", [odd]), ("beside.svg", [session, odd])):
-        draw_stops(sessions, tmp_path / name, "one")
+        draw_stops(sessions, tmp_path / name, FigureOptions(width="one"))
 
 
 def test_a_session_that_never_braked_is_named(session, others, tmp_path):
@@ -295,13 +405,27 @@ def test_the_printed_figure_has_the_same_lines_in_fewer_points(session, tmp_path
     draw_stops([session], tmp_path / "all.svg")
     printed = svg_of([session])
     assert printed.startswith(b"<?xml")
-    assert 10_000 < len(printed) <= len((tmp_path / "all.svg").read_bytes())
+    assert len(printed) > 10_000
+    assert printed.count(b" L ") <= (tmp_path / "all.svg").read_bytes().count(b" L ")
 
 
 class TestVerb:
     def test_it_draws_several_sessions(self, verb, session, others):
         done = verb("figure", session.path, others[0].path, "-o", "both.pdf", "--width", "one")
         assert (done.code, done.out, done.err) == (0, "", "figure: both.pdf\n")
+
+    def test_it_draws_a_part_as_a_journal_wants_it(self, verb, session, tmp_path):
+        options = ["--style", "ieee", "--width", "one", "--panels", "slip, torque", "--range", 0.0, 0.2]
+        done = verb("figure", session.path, "-o", "part.svg", *options, "--font-size", 8, "--title", "--no-envelope")
+        assert done.code == 0, done.err
+        drawing = (tmp_path / "part.svg").read_text()
+        assert "reaching-law on moving-window</text>" in drawing
+        assert "speed (rad/s)" not in drawing
+
+    def test_an_unknown_panel_is_named(self, verb, session):
+        done = verb("figure", session.path, "-o", "x.png", "--panels", "speed,force")
+        assert done.code == 2
+        assert "--panels: ['speed', 'force']: must be one or several of speed, slip, torque" in done.err
 
     def test_another_width_is_usage(self, verb, session):
         done = verb("figure", session.path, "-o", "x.png", "--width", "three")

@@ -25,7 +25,7 @@ Array = npt.NDArray[Any]
 
 def phase_plane(traces: Sequence[ReportTrace]) -> Drawing:
     """Slip over road speed while braking, down to 1 rad/s; for one simulated session also the true slip."""
-    plot = blank("plane", "road wheel speed [rad/s]", "slip [1]")
+    plot = blank("plane", "road wheel speed [rad/s]", "slip")
     fastest = max(float(np.nanmax(trace.points.columns["road_speed_rad_s"], initial=0.0)) for trace in traces)
     plot.x_range = Range1d(0.0, max(1.05 * fastest, _SLOWEST_RAD_S))
     plot.y_range = Range1d(-0.02, 1.05)
@@ -71,7 +71,7 @@ def timing_histogram(traces: Sequence[ReportTrace]) -> Drawing:
     most = max(_LEAST_SCALE_US, *(min(float(trace.late_us.max()), _LATEST_US) for trace in traces))
     edges = np.geomspace(_PUNCTUAL_US, most * 1.001, 1 + int(np.ceil(_BINS_A_DECADE * np.log10(most))))
     counts = [_histogram(trace.late_us, edges) for trace in traces]
-    plot = blank("lateness", "late [us]", "ticks [1]", x_axis_type="log", y_axis_type="log")
+    plot = blank("lateness", "late [us]", "ticks", x_axis_type="log", y_axis_type="log")
     plot.x_range = Range1d(_PUNCTUAL_US, 1.2 * most)
     plot.y_range = Range1d(_BELOW_ONE_TICK, 2.0 * max(float(each.max()) for each in counts))
     legend: list[LegendEntry] = []

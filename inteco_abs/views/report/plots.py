@@ -55,7 +55,7 @@ PANELS: Final = (
         PlotLine("road_speed_rad_s", "road wheel (car)", "solid", RED),
         PlotLine("wheel_speed_rad_s", "braked wheel", "dashed", BLUE),
     )),
-    PlotPanel("slip", "Slip", "slip [1]", (
+    PlotPanel("slip", "Slip", "slip", (
         PlotLine("slip", "estimated", "solid", BLUE),
         PlotLine("true_slip", "true", "dashed", RED),
         PlotLine("slip_reference", "reference", "dotted", GREY),
@@ -64,11 +64,11 @@ PANELS: Final = (
         PlotLine("torque_demand_nm", "demanded by the law", "solid", BLUE),
         PlotLine("true_brake_torque_nm", "true", "dashed", RED),
     )),
-    PlotPanel("duty", "Duty cycles", "duty [1]", (
+    PlotPanel("duty", "Duty cycles", "duty", (
         PlotLine("brake", "brake", "solid", BLUE),
         PlotLine("drive", "drive", "dashed", RED),
     )),
-    PlotPanel("switching", "Sliding variable", "switching function [1]", (
+    PlotPanel("switching", "Sliding variable", "switching function", (
         PlotLine("switching", "switching function", "solid", BLUE),
     )),
     PlotPanel("timing", "Punctuality", "duration [us]", (
