@@ -1,8 +1,7 @@
 #include "outputs.h"
 
 static struct {
-    bool on;
-    bool tripped;
+    uint16_t width[HAL_PWMS];
     uint8_t reason;
     uint16_t trips;
     uint32_t fed_us;
@@ -12,37 +11,35 @@ static struct {
 void outputs_reset(void)
 {
     outputs_off();
-    outputs.tripped = false;
     outputs.reason = 0u;
     outputs.trips = 0u;
     outputs_feed(0u);
 }
 
-bool outputs_apply(const struct pwm pwm[HAL_PWMS])
+void outputs_apply(const struct pwm pwm[HAL_PWMS])
 {
-    bool on = false;
-    for (unsigned i = 0u; i < HAL_PWMS; i++) {
-        on = on || (pwm[i].width != 0u);
-    }
-    if (on && outputs.tripped) {
-        return false;
-    }
     for (unsigned i = 0u; i < HAL_PWMS; i++) {
         hal_pwm(i, pwm[i].width, pwm[i].twelve_bits, pwm[i].prescaler);
+        outputs.width[i] = pwm[i].width;
     }
-    outputs.on = on;
-    return true;
 }
 
 void outputs_off(void)
 {
     hal_outputs_off();
-    outputs.on = false;
+    for (unsigned i = 0u; i < HAL_PWMS; i++) {
+        outputs.width[i] = 0u;
+    }
 }
 
 bool outputs_on(void)
 {
-    return outputs.on;
+    return (outputs.width[0] != 0u) || (outputs.width[1] != 0u);
+}
+
+uint16_t outputs_width(unsigned channel)
+{
+    return outputs.width[channel];
 }
 
 void outputs_feed(uint32_t watchdog_us)
@@ -60,17 +57,16 @@ bool outputs_expired(void)
 void outputs_trip(uint8_t reason)
 {
     outputs_off();
-    outputs.tripped = true;
     outputs.reason = reason;
     outputs.trips++;
 }
 
-void outputs_clear(void)
+uint8_t outputs_reason(void)
 {
-    outputs.tripped = false;
+    return outputs.reason;
 }
 
-bool outputs_tripped(void)
+uint16_t outputs_trips(void)
 {
-    return outputs.tripped;
+    return outputs.trips;
 }

@@ -1,4 +1,4 @@
-/* The two PWM outputs and what switches them off: watchdog and fault latch.
+/* The two PWM outputs, the watchdog's time, and the record of trips. Which logic may use them is theirs to know.
 
    Call all functions with the tick locked out, or from it. */
 
@@ -17,25 +17,28 @@ struct pwm {
     bool twelve_bits;
 };
 
-/* State after power-up: off, latch clear. */
+/* State after power-up: off, no trip. */
 void outputs_reset(void);
 
-/* Applies both outputs. Returns false, and changes nothing, if the latch is set and a width is not zero. */
-bool outputs_apply(const struct pwm pwm[HAL_PWMS]);
+/* Applies both outputs. */
+void outputs_apply(const struct pwm pwm[HAL_PWMS]);
 
-/* Switches both outputs off, at once. */
+/* Switches both outputs off. */
 void outputs_off(void);
 
 /* Whether a width is not zero. */
 bool outputs_on(void);
 
-/* The watchdog: outputs_expired is true from `watchdog_us` after the last feeding on. */
+/* Width in force of a channel. */
+uint16_t outputs_width(unsigned channel);
+
+/* The watchdog: outputs_expired is true from `watchdog_us` after the newest feeding on. */
 void outputs_feed(uint32_t watchdog_us);
 bool outputs_expired(void);
 
-/* The fault latch: outputs_trip switches off and keeps off, until outputs_clear. */
+/* Switches both outputs off and records why. */
 void outputs_trip(uint8_t reason);
-void outputs_clear(void);
-bool outputs_tripped(void);
+uint8_t outputs_reason(void);
+uint16_t outputs_trips(void);
 
 #endif

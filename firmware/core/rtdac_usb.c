@@ -1,5 +1,6 @@
 #include "rtdac_usb.h"
 
+#include "frame.h"
 #include "hal.h"
 #include "outputs.h"
 #include "rtdac_usb_tables.h"
@@ -16,32 +17,29 @@ static struct {
     uint8_t frame[RTDAC_USB_SEND_BYTES]; /* data bytes of the SEND frame that arrives */
     unsigned arrived;                    /* how many of them there are */
     bool open;                           /* whether a SEND frame arrives */
+    bool expired;                        /* whether widths stay off until all of them are zero */
     uint32_t timer_start_us[TIMERS];
 } vendor;
 
 static uint32_t get(struct place place)
 {
-    uint32_t value = 0u;
-    for (unsigned bit = 0u; bit < place.bits; bit += 8u) {
-        value |= (uint32_t)vendor.image[place.byte + (bit / 8u)] << bit;
-    }
-    return (place.bits < 32u) ? (value & ((UINT32_C(1) << place.bits) - 1u)) : value;
+    return frame_get(vendor.image, place);
 }
 
 static void put(struct place place, uint32_t value)
 {
-    for (unsigned bit = 0u; bit < place.bits; bit += 8u) {
-        const unsigned width = place.bits - bit;
-        const uint8_t mask = (width < 8u) ? (uint8_t)((1u << width) - 1u) : 0xFFu;
-        uint8_t *byte = &vendor.image[place.byte + (bit / 8u)];
-        *byte = (uint8_t)((*byte & ~(unsigned)mask) | ((value >> bit) & mask));
-    }
+    frame_put(vendor.image, place, value);
+}
+
+static bool bit(uint32_t bits, unsigned number)
+{
+    return ((bits >> number) & 1u) != 0u;
 }
 
 /* One output as the image has it. A channel whose pin is not a PWM pin is off. */
 static struct pwm output(unsigned channel)
 {
-    const bool connected = ((get(rtdac_usb_pin_mode) >> channel) & 1u) != 0u;
+    const bool connected = bit(get(rtdac_usb_pin_mode), channel);
     const bool twelve_bits = get(rtdac_usb_pwm_mode[channel]) != 0u;
     const uint32_t width = get(rtdac_usb_pwm_width[channel]) & (twelve_bits ? 0xFFFFu : EIGHT_BITS);
     const struct pwm pwm = {
@@ -55,18 +53,17 @@ static struct pwm output(unsigned channel)
 static void apply_outputs(void)
 {
     struct pwm pwm[HAL_PWMS];
-    bool zero = true;
+    bool on = false;
     for (unsigned i = 0u; i < HAL_PWMS; i++) {
         pwm[i] = output(i);
-        zero = zero && (pwm[i].width == 0u);
+        on = on || (pwm[i].width != 0u);
     }
-    if (zero) {
-        outputs_clear();
-    }
-    if (outputs_apply(pwm)) {
-        outputs_feed(RTDAC_USB_WATCHDOG_US);
-    } else {
+    vendor.expired = vendor.expired && on;
+    if (vendor.expired) {
         rtdac_usb_show_off();
+    } else {
+        outputs_apply(pwm);
+        outputs_feed(RTDAC_USB_WATCHDOG_US);
     }
 }
 
@@ -74,7 +71,7 @@ static void apply_outputs(void)
 static void start_timers(uint32_t held)
 {
     for (unsigned i = 0u; i < TIMERS; i++) {
-        if (((held >> i) & 1u) != 0u) {
+        if (bit(held, i)) {
             vendor.timer_start_us[i] = hal_clock_us();
         }
     }
@@ -86,13 +83,13 @@ static void send(void)
     for (unsigned i = 0u; i < MOVES; i++) {
         const struct bit_move move = rtdac_usb_moves[i];
         const unsigned ones = (1u << move.width) - 1u;
-        const unsigned bits = ((unsigned)vendor.frame[move.send_byte] >> move.send_low) & ones;
+        const unsigned moved = ((unsigned)vendor.frame[move.send_byte] >> move.send_low) & ones;
         uint8_t *byte = &vendor.image[move.read_byte];
-        *byte = (uint8_t)((*byte & ~(ones << move.read_low)) | (bits << move.read_low));
+        *byte = (uint8_t)((*byte & ~(ones << move.read_low)) | (moved << move.read_low));
     }
     start_timers(held | get(rtdac_usb_timer_reset));
     for (unsigned i = 0u; i < HAL_COUNTERS; i++) {
-        hal_hold_counter(i, ((get(rtdac_usb_encoder_reset) >> i) & 1u) != 0u);
+        hal_hold_counter(i, bit(get(rtdac_usb_encoder_reset), i));
     }
     hal_set_pins(get(rtdac_usb_pin_output), get(rtdac_usb_pin_direction) ^ ALL_PINS); /* direction 1 is an input */
     apply_outputs();
@@ -101,7 +98,7 @@ static void send(void)
 static uint32_t timer(unsigned i)
 {
     const uint32_t running = get(rtdac_usb_timer_mode) & ~get(rtdac_usb_timer_reset);
-    return (((running >> i) & 1u) != 0u) ? (hal_clock_us() - vendor.timer_start_us[i]) * TIMER_TICKS_PER_US : 0u;
+    return bit(running, i) ? (hal_clock_us() - vendor.timer_start_us[i]) * TIMER_TICKS_PER_US : 0u;
 }
 
 static void read(void)
@@ -126,34 +123,30 @@ void rtdac_usb_reset(void)
         hal_hold_counter(i, false);
     }
     hal_set_pins(0u, 0u);
+    vendor.expired = false;
     rtdac_usb_drop();
 }
 
-bool rtdac_usb_take(uint8_t byte)
+void rtdac_usb_take(uint8_t byte, bool may_set)
 {
-    if ((byte & COMMAND_BIT) == 0u) {
-        if (!vendor.open) {
-            return false;
+    if ((byte & COMMAND_BIT) != 0u) {
+        rtdac_usb_drop();
+        vendor.open = (byte == RTDAC_USB_SEND);
+        if (byte == RTDAC_USB_READ) {
+            read();
         }
+    } else if (vendor.open) {
         vendor.frame[vendor.arrived] = byte;
         vendor.arrived++;
         if (vendor.arrived == RTDAC_USB_SEND_BYTES) {
-            vendor.open = false;
-            send();
+            rtdac_usb_drop();
+            if (may_set) {
+                send();
+            }
         }
-        return true;
-    }
-    rtdac_usb_drop();
-    if (byte == RTDAC_USB_SEND) {
-        vendor.open = true;
-    } else if (byte == RTDAC_USB_READ) {
-        read();
-    } else if (byte != RTDAC_USB_DUMMY) {
-        return false;
     } else {
-        /* the dummy command does nothing */
+        /* a byte of no message */
     }
-    return true;
 }
 
 void rtdac_usb_drop(void)
@@ -162,12 +155,15 @@ void rtdac_usb_drop(void)
     vendor.arrived = 0u;
 }
 
-void rtdac_usb_tick(void)
+bool rtdac_usb_tick(void)
 {
-    if (outputs_on() && outputs_expired()) {
+    const bool trips = outputs_on() && outputs_expired();
+    if (trips) {
         outputs_trip(RTDAC_USB_TRIP);
         rtdac_usb_show_off();
+        vendor.expired = true;
     }
+    return trips;
 }
 
 void rtdac_usb_show_off(void)

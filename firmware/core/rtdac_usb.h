@@ -10,19 +10,19 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-/* State after power-up: all settings zero, all pins inputs. */
+/* Settings as after power-up: all zero, all pins inputs. The outputs stay as they are. */
 void rtdac_usb_reset(void);
 
-/* Takes a byte of the line. False if it belongs to no message. */
-bool rtdac_usb_take(uint8_t byte);
+/* Takes a byte of the line. A SEND frame changes nothing unless it `may_set`. */
+void rtdac_usb_take(uint8_t byte, bool may_set);
 
-/* Drops an unfinished message. */
+/* Drops an unfinished SEND frame. */
 void rtdac_usb_drop(void);
 
-/* Looks after the watchdog, at each tick. */
-void rtdac_usb_tick(void);
+/* The watchdog of this logic, for each tick in which it has the outputs. Returns whether it trips. */
+bool rtdac_usb_tick(void);
 
-/* Shows both widths as zero, as something has switched the outputs off. */
+/* Shows both widths as zero: something else has switched the outputs off. */
 void rtdac_usb_show_off(void);
 
 #endif

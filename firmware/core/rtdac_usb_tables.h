@@ -5,6 +5,8 @@
 
 #include <stdint.h>
 
+#include "frame.h"
+
 #define RTDAC_USB_DUMMY 0x80u
 #define RTDAC_USB_SEND 0x81u
 #define RTDAC_USB_READ 0x82u
@@ -13,12 +15,7 @@
 #define RTDAC_USB_WATCHDOG_US 250000u
 #define RTDAC_USB_TRIP 3u /* reason of a trip: this watchdog */
 
-/* Place of a value in a READ frame: from bit 0 of its first byte on, which travels first. */
-struct place {
-    uint8_t byte;
-    uint8_t bits;
-};
-
+/* Places in a READ frame. */
 static const struct place rtdac_usb_pin_mode = {8u, 5u};
 static const struct place rtdac_usb_pin_direction = {9u, 26u};
 static const struct place rtdac_usb_pin_output = {13u, 26u};

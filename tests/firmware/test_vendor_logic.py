@@ -3,7 +3,8 @@
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from firmware_protocol.c_header import VENDOR_NAME, VENDOR_WATCHDOG_MS
+from firmware_protocol.c_header import VENDOR_NAME
+from firmware_protocol.open_board import VENDOR_WATCHDOG_MS
 from firmware_protocol.rtdac_usb import DUMMY, LOGICS, READ_REQUEST, decode_read, encode_send
 from inteco_abs.boards.families.usb.mock import ByteStream, UsbFrontEnd
 from inteco_abs.config import load_config
