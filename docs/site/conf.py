@@ -17,7 +17,7 @@ CONTENTS = {
         "docs/safety.md", "docs/troubleshooting.md", "docs/settings.md", "docs/controllers.md",
         "docs/populations.md", "docs/sweeps.md", "docs/benchmark.md",
         "docs/sessions.md", "docs/interfaces.md", "docs/boards.md", "docs/real-time.md", "docs/hazards.md",
-        "docs/watchdog.md", "docs/parity.md",
+        "docs/watchdog.md", "docs/open-board.md", "docs/parity.md",
     ],
     "Reference": ["docs/reference.md", "docs/api/*.md", "firmware_protocol/PROTOCOL.md"],
     "Contribute": [
