@@ -79,6 +79,28 @@ class Session(sessions.Session):
         )  # fmt: skip
         return figure_of([self, *others], options)
 
+    @speaks_of_arguments(range="range_s", height="height_px")
+    def video(
+        self,
+        out: str | Path,
+        *,
+        speed: float = 0.25,
+        fps: float | None = None,
+        range_s: tuple[float, float] | None = None,
+        height_px: int | None = None,
+    ) -> Path:
+        """Write a video (.mp4 or .gif) of both wheels with speeds, slip and torque, and return its path.
+
+        `speed` is times real time, in 1/256..16, `fps` in 1..120, by default 30, in a GIF 20. `range_s` is a part of
+        the time since braking began, `height_px` even, in 240..2160. Raises ConfigError, SessionError, or AbsError
+        without the extra `video`, for a GIF `figures`.
+        """
+        from inteco_abs.views.video import VideoOptions, write_video
+
+        path = Path(out)
+        write_video(self, path, VideoOptions(speed=speed, fps=fps, range_s=range_s, height_px=height_px))
+        return path
+
     @speaks_of_arguments()
     def replay(
         self,

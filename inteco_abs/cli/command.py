@@ -16,8 +16,8 @@ from inteco_abs.errors import AbsError
 _VERBS: Final = {
     "Run": ("run", "repeat", "demo"),
     "Sessions": (
-        "list", "info", "play", "annotate", "report", "figure", "diff", "replay", "what-if", "golden", "export",
-        "dataset", "publish", "extract", "viewer-layout", "validate", "recover",
+        "list", "info", "play", "annotate", "report", "figure", "video", "diff", "replay", "what-if", "golden",
+        "export", "dataset", "publish", "extract", "viewer-layout", "validate", "recover",
     ),
     "Compare and design": ("controllers", "estimators", "sweep", "benchmark", "design", "identify", "paper", "fmu"),
     "Boards and commissioning": ("commission", "panel", "identify-led", "mock-board", "faults", "wire"),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from inteco_abs.cli.options import Whole, json_option, write_csv
-from inteco_abs.cli.terminal import print_json, say, show, stops_progress
+from inteco_abs.cli.terminal import items_progress, print_json, say, show
 from inteco_abs.errors import AbsError, ConfigError, describe_disk
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def paper(folder: Path, draws: int, as_json: bool) -> int:
 
     require_matplotlib()
     _check_folder(folder)
-    with stops_progress() as progress:
+    with items_progress() as progress:
         found = reproduce(draws, progress)
     report = found.report()
     written = [str(path) for path in _write(found, report, folder, f"inteco-abs paper --draws {draws}")]

@@ -25,7 +25,7 @@ from inteco_abs.cli.options import (
     shared_option,
     write_csv,
 )
-from inteco_abs.cli.terminal import print_json, say, show, stops_progress
+from inteco_abs.cli.terminal import items_progress, print_json, say, show
 from inteco_abs.errors import ConfigError, ConfigIssue
 
 if TYPE_CHECKING:
@@ -203,7 +203,7 @@ def brake_missing(
     began = time.monotonic()
     with redirect_stdout(sys.stderr):
         where, ahead, jobs = executor_of(plan, jobs, executor)
-        with _ended_by_sigterm(), where, stops_progress() as progress:
+        with _ended_by_sigterm(), where, items_progress() as progress:
             braked = work(folder, where, ahead, part, progress)
     _say_braked(braked, jobs, time.monotonic() - began)
     return LOSSES if braked.failed else 0

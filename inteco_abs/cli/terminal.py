@@ -64,8 +64,10 @@ def _escaped(card: Mapping[str, Any]) -> dict[str, Any]:
 
 
 @contextmanager
-def stops_progress() -> Iterator[Progress | None]:
-    """Progress bar over stops on a terminal's stderr; None where stderr is not a terminal."""
+def items_progress(
+    items: str = "stops", beginning: str = "compiling, then braking", going: str = "braking"
+) -> Iterator[Progress | None]:
+    """Progress bar over `items` on a terminal's stderr; None where stderr is not a terminal."""
     if not on_terminal(sys.stderr):
         yield None
         return
@@ -75,7 +77,7 @@ def stops_progress() -> Iterator[Progress | None]:
 
     class Rate(TextColumn):
         def render(self, task: Task) -> Text:
-            return Text("stops" if task.speed is None else f"stops, {task.speed:.3g} per s", self.style)
+            return Text(items if task.speed is None else f"{items}, {task.speed:.3g} per s", self.style)
 
     columns = (
         TextColumn("{task.description}"),
@@ -85,13 +87,13 @@ def stops_progress() -> Iterator[Progress | None]:
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("compiling, then braking", total=None)
+        task = bar.add_task(beginning, total=None)
 
         def update(done: int, total: int) -> None:
             if bar.tasks[task].total is None:  # what an earlier command braked says nothing of the rate
                 bar.reset(task, completed=done, total=total)
             else:
-                bar.update(task, completed=done, description="braking")
+                bar.update(task, completed=done, description=going)
 
         yield update
 
