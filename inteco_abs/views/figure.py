@@ -141,7 +141,7 @@ def save_figure(figure: Figure, path: Path, dpi: float = 150.0) -> None:
             if path.suffix == ".pgf":
                 from inteco_abs.views.pgf import pgf_of  # noqa: PLC0415  heavy, and an extra
 
-                part.write_text(pgf_of(figure, path.name), encoding="utf-8")
+                part.write_text(pgf_of(figure, path.name), encoding="utf-8", newline="\n")
             else:
                 form, metadata = path.suffix.removeprefix("."), undated.get(path.suffix, {})
                 figure.savefig(part, format=form, dpi=dpi, metadata=metadata)
