@@ -36,7 +36,9 @@ from inteco_abs.control.factory import (
     make_controller,
     make_estimator,
     preferred_estimator,
+    swing_band,
 )
+from inteco_abs.control.fall_back import FallBack
 from inteco_abs.control.functions import Function, finite_demand, finite_estimate, function_of
 from inteco_abs.control.gain_changes import (
     REFERENCE,
@@ -76,6 +78,7 @@ __all__ = [
     "EdgeTime",
     "Estimator",
     "EstimatorSpec",
+    "FallBack",
     "Function",
     "Gain",
     "GainChange",
@@ -121,5 +124,6 @@ __all__ = [
     "reference_function",
     "set_gain",
     "slip_terms",
+    "swing_band",
     "value_problem",
 ]

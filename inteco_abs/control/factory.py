@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 from inteco_abs.config import Check, RigConfig, section_of
-from inteco_abs.control.controllers import CONTROLLERS, Controller, Gain, Setup
+from inteco_abs.control.controllers import CONTROLLERS, SWING_BAND, Controller, Gain, PredictiveReaching, Setup
 from inteco_abs.control.estimators import ESTIMATORS, Estimator
 from inteco_abs.control.gain_changes import (
     REFERENCE,
@@ -75,6 +75,12 @@ def gains_in_force(config: RigConfig, controllers: Mapping[str, type[Controller]
         gain.name: float(config.controller.gains.get(gain.name, gain.default))
         for gain in controllers[config.controller.name].gains
     }
+
+
+def swing_band(config: RigConfig) -> float:
+    """Slip error to both sides of which the slip swings when the configured law falls back; 0: it does not."""
+    own = CONTROLLERS.get(config.controller.name) is PredictiveReaching
+    return gains_in_force(config)[SWING_BAND] if own else 0.0
 
 
 def gains_to_change(

@@ -57,6 +57,10 @@ RESULT: Final = (
     ResultField("lateness_us_p999", unit="us"),
     ResultField("lateness_us_max", unit="us"),
     ResultField("payload_sha256", TEXT, ""),
+    ResultField("swing_share"),
+    ResultField("fall_backs"),
+    ResultField("fall_back_from_s", unit="s"),
+    ResultField("fall_back_s", unit="s"),
 )
 
 

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from inteco_abs.config import RigConfig
-from inteco_abs.control import Pipeline, config_of_stop, function_of
+from inteco_abs.control import Pipeline, config_of_stop, function_of, swing_band
 from inteco_abs.errors import ConfigError, describe_error
 from inteco_abs.machine_code import compile_problem, compiled
 from inteco_abs.montecarlo.batch import BatchPlant
@@ -19,7 +19,7 @@ from inteco_abs.montecarlo.policies import PolicyFactory, TrueState
 from inteco_abs.montecarlo.python_controller import PythonController
 from inteco_abs.montecarlo.results import METRICS, METRICS_ROW, StopResults, Trace
 from inteco_abs.rig import LONGEST_BRAKING_S, RigVariation, nominal_parameters
-from inteco_abs.sessions import STANDSTILL_RAD_S, Array, StopTrace, stop_metrics
+from inteco_abs.sessions import STANDSTILL_RAD_S, Array, SlipErrors, StopTrace, stop_metrics
 from inteco_abs.signals import EXPLANATIONS, Phase, Reason, Sample
 
 _FIRST_ROWS: Final = 4096
@@ -164,7 +164,7 @@ class _Shard:
         self._longest = _longest(config)
         self._first_row = -1  # tick of the first row
         self._rows = np.empty((_FIRST_ROWS, COLUMNS, len(rigs)))
-        self._drives, self._brakes, self._slips, self._references = np.zeros((4, len(rigs)))
+        self._drives, self._brakes, self._slips, self._references, self._errors = np.zeros((5, len(rigs)))
 
     def run(self) -> Iterator[_Ended]:
         """All ticks, until every stop has ended."""
@@ -195,7 +195,7 @@ class _Shard:
                 continue
             slips[i] = stop.step(Sample(tick, time_ns, period_s, wheel_counts[i], road_counts[i]))
             drives[i], brakes[i] = stop.pipeline.command
-            self._references[i] = stop.pipeline.reference_slip
+            self._references[i], self._errors[i] = stop.pipeline.reference_slip, stop.pipeline.machine.demand.switching
             if stop.began == tick and self._first_row < 0:
                 self._first_row = tick
 
@@ -207,7 +207,7 @@ class _Shard:
         row = self._rows[place]
         row[0], row[1], row[2] = batch.wheel_speed, batch.road_speed, batch.slip
         row[3], row[4] = batch.brake_torque, batch.road_angle
-        row[5], row[6], row[7] = self._slips, self._brakes, self._references
+        row[5], row[6], row[7], row[8] = self._slips, self._brakes, self._references, self._errors
 
     def _ended(self, i: int) -> _Ended:
         stop, first = self._stops[i], self._first_row
@@ -229,7 +229,10 @@ def _metrics(stop: _Ended, config: RigConfig) -> tuple[float, ...]:
         trace.brake,
     )
     parameters = nominal_parameters(config.model)
-    found = stop_metrics(course, stop.rows[:, 7].copy(), parameters)
+    reference, error = stop.rows[:, 7].copy(), stop.rows[:, 8].copy()
+    band = swing_band(config)
+    errors = SlipErrors(band, error, reference, np.full(len(error), config.period_ns / 1e9)) if band > 0.0 else None
+    found = stop_metrics(course, reference, parameters, errors)
     values = (found[name.removesuffix("_true")] for name in METRICS)
     return tuple(math.nan if value is None else value for value in values)
 
@@ -240,5 +243,5 @@ def _since_ns(rows: Array, config: RigConfig) -> Array:
 
 def _trace(rows: Array, config: RigConfig) -> Trace:
     time_s = _since_ns(rows, config) * 1e-9
-    wheel_speed, road_speed, slip, torque, angle, estimated, brake, _ = rows.T.copy()
+    wheel_speed, road_speed, slip, torque, angle, estimated, brake, _, _ = rows.T.copy()
     return Trace(time_s, wheel_speed, road_speed, slip, estimated, torque, angle - angle[0], brake)

@@ -25,8 +25,9 @@ from inteco_abs.rig.plant import move_on, read_encoders
 from inteco_abs.sessions import STANDSTILL_RAD_S
 from inteco_abs.signals import Command, Phase, Reason, Sample
 
-COLUMNS: Final = 8
-"""Speeds of wheel and road, slip, brake torque, road angle, estimated slip, the brake's duty, and reference slip."""
+COLUMNS: Final = 9
+"""Speeds of wheel and road, slip, brake torque, road angle, estimated slip, the brake's duty, reference slip, and the
+law's slip error."""
 _ON_THE_WAY: Final = 64
 """Commands of one rig for which there is room at first."""
 _NONE: Final = Reason.NONE
@@ -94,7 +95,7 @@ def stop(
     due_s: Any = np.zeros(_ON_THE_WAY)
     torques: Any = np.zeros(_ON_THE_WAY)
     sent = np.zeros((k.command_delay_ticks + 1, 2))
-    tick, began, decisions, slip, brake = 0, -1, 0, 0.0, 0.0
+    tick, began, decisions, slip, brake, error = 0, -1, 0, 0.0, 0.0, 0.0
     machine, guard = parts.machine, parts.guard
     while True:
         reading: Any = np.uint64(tick + 1)
@@ -106,7 +107,7 @@ def stop(
             finite = finite_estimate(estimated)
             if machine.phase == _BRAKING:
                 demand = control(parts.controller_k, parts.controller, estimated, period_s)
-                brake = demand.brake
+                brake, error = demand.brake, demand.switching
                 finite = finite and finite_demand(demand)
             if not finite:
                 return Course(began, tick, decisions, guard.reason, False)
@@ -120,7 +121,7 @@ def stop(
             row = rows[tick - began]
             row[0], row[1], row[2] = s.wheel_speed, s.road_speed, true_slip(k, s)
             row[3], row[4], row[5], row[6] = s.brake_torque, s.road_angle, slip, guard.brake
-            row[7] = reference(parts.controller, constant)
+            row[7], row[8] = reference(parts.controller, constant), error
         if ended:
             return Course(began, tick, decisions, guard.reason, True)
         sent[tick % sent.shape[0], 0], sent[tick % sent.shape[0], 1] = guard.drive, guard.brake

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inteco_abs.montecarlo.arrays import Rows
-from inteco_abs.sessions import Array
+from inteco_abs.sessions import FALL_BACKS, Array
 
 METRICS: Final = (
     "reaching_time_s",
@@ -27,8 +27,10 @@ METRICS: Final = (
     "lock_fraction",
     "torque_variation_nm_per_s",
     "duty_variation_per_s",
+    *FALL_BACKS,
 )
-"""Metrics of a stop as in `sessions.metrics`, all of the true slip and speed but for `slip_rms_estimated`."""
+"""Metrics of a stop as in `sessions.metrics`, all of the true slip and speed but for `slip_rms_estimated` and
+those of falling back, which are of the law's own slip."""
 METRICS_ROW: Final = np.dtype([(name, np.float64) for name in METRICS])
 
 
@@ -80,6 +82,8 @@ class ResultSummary:
     """Share of stops whose slip was never within 0.01 of the reference."""
     spreads: Mapping[str, Distribution]
     """By metric."""
+    fell_back: float | None
+    """Share of stops in which the law fell back; None of laws that do not."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,14 +129,16 @@ class StopResults:
 
 def summarize(columns: Iterable[tuple[str, NDArray[np.float64]]], failed: int) -> ResultSummary:
     """Summary of stops of which `failed` ended with an error; takes one metric of METRICS with its values at a time."""
-    stops, locked, never_entered, spreads = 0, 0.0, 0.0, {}
+    stops, locked, never_entered, fell_back, spreads = 0, 0.0, 0.0, None, {}
     for name, values in columns:
         stops, spreads[name] = len(values), _spread(values)
         if name == "lock_fraction":
             locked = float(np.mean(values > 0.0))
         elif name == "band_entry_s":
             never_entered = float(np.mean(np.isnan(values)))
-    return ResultSummary(stops, failed, locked, never_entered, spreads)
+        elif name == "fall_backs" and not np.isnan(values).all():
+            fell_back = float(np.mean(values > 0.0))
+    return ResultSummary(stops, failed, locked, never_entered, spreads, fell_back)
 
 
 def _spread(values: NDArray[np.float64]) -> Distribution:

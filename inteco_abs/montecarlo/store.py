@@ -283,6 +283,7 @@ class SweepRow:
             "failed": summary.failed,
             "locked_share": summary.locked,
             "never_in_band_share": summary.never_entered,
+            "fell_back_share": summary.fell_back,
             "metrics": metrics,
         }
 

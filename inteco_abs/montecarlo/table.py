@@ -31,11 +31,15 @@ _NOTE: Final = (
     "slip RMS: of the true slip, from 0.25 s after braking began down to 10 rad/s;\n"
     "below median and p99: the ends of their 90 % intervals; never: stops end earlier\n"
 )
-_NOTE_OF_TABLE: Final = f"{_NOTE}locked, never in band: shares of stops; stop, N m/s: median distance, variation"
-_NOTE_OF_RANGES: Final = f"{_NOTE}locked, ended early: shares of stops"
+_NOTE_OF_TABLE: Final = (
+    f"{_NOTE}locked, never in band, fell back: shares of stops; stop, N m/s: median distance, variation"
+)
+_NOTE_OF_RANGES: Final = f"{_NOTE}locked, ended early, fell back: shares of stops"
 _MOST_RANGES: Final = 6
 """Ranges of draws for which there is a table each."""
 _HEADINGS: Final = ("median", "p99", "max", "worst\nseed", "locked", "never\nin band", "stop\nm", "N m/s")
+_FELL_BACK: Final = ("fell\nback",)
+"""Of tables with a law that fell back."""
 
 
 def render_sweep(rows: Sequence[SweepRow]) -> RenderableType:
@@ -51,7 +55,8 @@ def render_sweep(rows: Sequence[SweepRow]) -> RenderableType:
 def _table_of_ranges(name: str, rows: Sequence[SweepRow]) -> Table:
     table = Table(title=f"{name}: slip RMS from 0.25 s on", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("rigs", overflow="fold")
-    for heading in ("median", "p99", "max", "worst\nseed", "locked", "ended\nearly"):
+    falls = any(row.summary.fell_back for row in rows)
+    for heading in ("median", "p99", "max", "worst\nseed", "locked", "ended\nearly", *_FELL_BACK[:falls]):
         table.add_column(heading, justify="right", no_wrap=True)
     for row in rows:
         summary = row.summary
@@ -60,8 +65,14 @@ def _table_of_ranges(name: str, rows: Sequence[SweepRow]) -> Table:
             *_slip_cells(row),
             f"{summary.locked:.0%}",
             f"{summary.failed / summary.stops:.0%}",
+            *_fell_back(row)[:falls],
         )
     return table
+
+
+def _fell_back(row: SweepRow) -> tuple[str]:
+    share = row.summary.fell_back
+    return ("-" if share is None else f"{share:.0%}",)
 
 
 def _slip_cells(row: SweepRow) -> tuple[Text | str, ...]:
@@ -92,7 +103,8 @@ def _table(name: str, rows: Sequence[SweepRow]) -> Table:
     title = f"{name}: slip RMS of {most}{count} {'stops' if count > 1 else 'stop'} each"
     table = Table(title=title, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("controller on estimator", overflow="fold")
-    for heading in _HEADINGS:
+    falls = any(row.summary.fell_back for row in rows)
+    for heading in (*_HEADINGS, *_FELL_BACK[:falls]):
         table.add_column(heading, justify="right", no_wrap=True)
     for row in rows:
         summary, spreads = row.summary, row.summary.spreads
@@ -103,6 +115,7 @@ def _table(name: str, rows: Sequence[SweepRow]) -> Table:
             f"{summary.never_entered:.0%}",
             _number(spreads["stop_distance_m"].median, ".2f"),
             _number(spreads["torque_variation_nm_per_s"].median, ".0f"),
+            *_fell_back(row)[:falls],
         )
     return table
 

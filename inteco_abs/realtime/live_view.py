@@ -17,6 +17,7 @@ from threading import Event, Thread
 from typing import Any, Final
 
 from inteco_abs.boards import simulated
+from inteco_abs.control import swing_band
 from inteco_abs.format import LOG_TOPIC, PARAMETERS_TOPIC, RESULT_TOPIC, TICK, TRUTH, pack_result
 from inteco_abs.quantities import quantities
 from inteco_abs.realtime.foxglove_server import PERIOD_S, Answer, FoxgloveServer, Service
@@ -97,7 +98,7 @@ class _RunServer:
         self._next = self._next_truth = 0
         self._newest = b""
         self._described = False
-        self._events = StateEvents()
+        self._events = StateEvents(swing_band(job.config))
         channels = [
             row_channel(TICK),
             row_channel(TICK)._replace(topic=BURST_TOPIC),

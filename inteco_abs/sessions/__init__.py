@@ -53,7 +53,16 @@ from inteco_abs.sessions.files import (
 from inteco_abs.sessions.fingerprint import describe_other_arithmetic, other_arithmetic
 from inteco_abs.sessions.frames import Frames, read_frames
 from inteco_abs.sessions.locations import is_local, session_path
-from inteco_abs.sessions.metrics import LOCKED_SLIP, LOWEST_RAD_S, STANDSTILL_RAD_S, Array, StopTrace, stop_metrics
+from inteco_abs.sessions.metrics import (
+    FALL_BACKS,
+    LOCKED_SLIP,
+    LOWEST_RAD_S,
+    STANDSTILL_RAD_S,
+    Array,
+    SlipErrors,
+    StopTrace,
+    stop_metrics,
+)
 from inteco_abs.sessions.migration import Metadata, newer
 from inteco_abs.sessions.provenance import host_facts, profile_source, software_facts
 from inteco_abs.sessions.reader import (
@@ -79,6 +88,7 @@ __all__ = [
     "CONTROLLER_SOURCE",
     "DESCRIPTION",
     "EXIT_CODES",
+    "FALL_BACKS",
     "FORMATS",
     "HISTORY",
     "LOCKED_SLIP",
@@ -111,6 +121,7 @@ __all__ = [
     "SessionIssue",
     "SessionWriter",
     "Severity",
+    "SlipErrors",
     "StateEvents",
     "StopTrace",
     "Table",

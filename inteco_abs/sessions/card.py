@@ -12,11 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from inteco_abs.config import RigConfig
+from inteco_abs.control import swing_band
 from inteco_abs.errors import SessionError
 from inteco_abs.format import TICK, TRUTH
 from inteco_abs.quantities import finite
 from inteco_abs.rig import nominal_parameters
-from inteco_abs.sessions.metrics import StopTrace, stop_metrics
+from inteco_abs.sessions.metrics import FALL_BACKS, SlipErrors, StopTrace, stop_metrics
 from inteco_abs.sessions.reader import Session, session_config
 from inteco_abs.sessions.rows import in_step
 from inteco_abs.signals import BoardFlags, Phase
@@ -133,7 +134,9 @@ class RunningCard:
         known = recorded > 0.0  # NaN once stopped
         self._references.update(np.unique(recorded[known]).tolist()[:2])
         reference = np.where(known, recorded, config.controller.reference_slip)
-        metrics = stop_metrics(trace, reference, nominal_parameters(config.model))
+        band = swing_band(config)
+        errors = SlipErrors(band, stop["switching"], reference, stop["dt_s"]) if band > 0.0 else None
+        metrics = stop_metrics(trace, reference, nominal_parameters(config.model), errors)
         if true is not None:
             metrics |= {name: metrics[name.removesuffix("_true")] for name in _STOP_METRICS if name.endswith("_true")}
         return {"start_speed_rad_s": float(source["road_speed_rad_s"][0]), **metrics}
@@ -230,6 +233,7 @@ _STOP_METRICS: Final = (
     "lock_fraction",
     "torque_variation_nm_per_s",
     "duty_variation_per_s",
+    *FALL_BACKS,
 )
 
 

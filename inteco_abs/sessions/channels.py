@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from inteco_abs.control import GainChange
+from inteco_abs.control import FallBack, GainChange
 from inteco_abs.format import (
     INTERNALS,
     LOG_NAME,
@@ -144,16 +144,38 @@ def describe_change(change: GainChange) -> str:
 
 
 class StateEvents:
-    """Finds the changes of phase and reason among ticks, and what the log says of them."""
+    """Finds the changes of phase, reason and gains in force among ticks, and what the log says of them.
 
-    def __init__(self) -> None:
+    A law whose slip swings to both sides of the `band` falls back; with 0 there is none.
+    """
+
+    def __init__(self, band: float = 0.0) -> None:
         self._before = (int(Phase.UNKNOWN), int(Reason.NONE))
+        self._band = band
+        self._fall_back = FallBack(band)
 
     def among(self, rows: npt.NDArray[np.void]) -> Iterator[tuple[int, list[tuple[int, str]]]]:
         """Yield index, and level and text of each entry, for every change in `rows`, which follow those before."""
         changes = [np.diff(rows[name], prepend=old) != 0 for name, old in zip(_STATE, self._before, strict=True)]
-        for index in np.flatnonzero(np.logical_or(*changes)).tolist():
-            yield index, self._entries(*(int(rows[name][index]) for name in _STATE))
+        steps = dict(self._steps(rows) if self._band > 0.0 else ())
+        for index in sorted({*np.flatnonzero(np.logical_or(*changes)).tolist(), *steps}):
+            entries = self._entries(*(int(rows[name][index]) for name in _STATE))
+            yield index, [*entries, *([steps[index]] if index in steps else [])]
+
+    def _steps(self, rows: npt.NDArray[np.void]) -> Iterator[tuple[int, tuple[int, str]]]:
+        """Index and entry of each change of the gains of a law that falls back; each stop begins with all of them."""
+        columns = (rows[name].tolist() for name in ("phase", "switching", "slip_reference", "dt_s"))
+        braked = self._before[0] == Phase.BRAKING
+        for index, (phase, error, reference, dt_s) in enumerate(zip(*columns, strict=True)):
+            if phase == Phase.BRAKING:
+                if not braked:
+                    self._fall_back = FallBack(self._band)
+                before, steps = self._fall_back.steps, self._fall_back.follow(error, reference, dt_s)
+                if steps > before:
+                    yield index, (WARNING, f"the slip swings: the law falls back to 1/{1 << steps} of its gains")
+                elif steps < before:
+                    yield index, (INFO, f"the slip is calm: the law takes a step back up, to {_share_of(steps)} gains")
+            braked = phase == Phase.BRAKING
 
     def _entries(self, phase: int, reason: int) -> list[tuple[int, str]]:
         before, self._before = self._before, (phase, reason)
@@ -161,3 +183,7 @@ class StateEvents:
         if reason != before[1]:
             entries.append((ERROR, f"{Reason(reason).name}: {EXPLANATIONS[Reason(reason)]}"))
         return entries
+
+
+def _share_of(steps: int) -> str:
+    return f"1/{1 << steps} of its" if steps else "its full"

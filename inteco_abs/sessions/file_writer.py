@@ -159,6 +159,10 @@ class FileWriter:
         self._writer.end_chunk()
         self._settle(wait=True)
 
+    def supervise(self, band: float) -> None:
+        """Log each step of a law that falls back when its slip swings to both sides of `band`; before the ticks."""
+        self._states = StateEvents(band)
+
     def change(self, changes: Iterable[GainChange]) -> None:
         """Add changes of gains, in order, before the ticks from which on they hold."""
         self._changes += changes

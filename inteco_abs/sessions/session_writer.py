@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from inteco_abs.boards import simulated
 from inteco_abs.config import RigConfig
-from inteco_abs.control import GainChange, changes_not_made
+from inteco_abs.control import GainChange, changes_not_made, swing_band
 from inteco_abs.errors import CaptureError
 from inteco_abs.format import TICK, TRUTH
 from inteco_abs.quantities import Quantity
@@ -159,6 +159,7 @@ class SessionWriter:
         if source != header.controller_source:
             recorder.attach(CONTROLLER_FILES, "application/zip", header.controller_source)
         self._enclose()
+        recorder.supervise(swing_band(config))
         recorder.begin({"reference_slip": config.controller.reference_slip, **header.gains})
 
     def add_environment(self, found: Environment) -> None:

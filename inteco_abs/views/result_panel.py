@@ -25,6 +25,12 @@ ROWS: Final = (
     ("duty variation", "duty_variation_per_s", "{:.1f} /s", 1.0),
 )
 """Label, key of the result card, format with its unit, and factor."""
+FALL_BACK_ROWS: Final = (
+    ("largest swing, of the band", "swing_share", "{:.0f} %", 100.0),
+    ("times fallen back", "fall_backs", "{:.0f}", 1.0),
+    ("fallen back for", "fall_back_s", "{:.3f} s", 1.0),
+)
+"""Those of a law that falls back."""
 _NEITHER: Final = frozenset({"start_speed_rad_s"})
 """Keys of which neither more nor less is better."""
 _COLOURS = {"completed": "green", "interrupted": "yellow"}
@@ -41,7 +47,8 @@ def render_card(
     table.add_column(style="dim", no_wrap=True)
     table.add_column(justify="right", no_wrap=True)
     table.add_column(no_wrap=True)
-    for label, key, form, factor in ROWS if card["stops"] else ():
+    own = FALL_BACK_ROWS if card.get("swing_share") is not None else ()
+    for label, key, form, factor in (*ROWS, *own) if card["stops"] else ():
         value = card[key]
         change = Text() if before is None else _change(key, value, before.get(key), form, factor, plain=plain)
         table.add_row(label, "-" if value is None else form.format(value * factor), change)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inteco_abs.control import PredictiveReaching, Setup
+from inteco_abs.control import FallBack, PredictiveReaching, Setup
 from inteco_abs.control.wheel_dynamics import WheelDynamics
 from inteco_abs.rig import RigParameters, adhesion, measured_torque
 from inteco_abs.signals import BrakeDemand, Estimate, Prediction
@@ -219,6 +219,22 @@ def test_no_swing_is_what_stays_on_one_side_or_within_the_band_or_follows_a_refe
     assert slip_rates(controller, [0.201]) == pytest.approx([-0.001 * K], rel=1e-6)
     never = law(swing_band=0.0)
     assert slip_rates(never, [0.1, 0.3, 0.1, 0.3, 0.201])[-1] == pytest.approx(-0.001 * K, rel=1e-6)
+
+
+@given(
+    st.lists(
+        st.tuples(st.sampled_from([0.1, 0.14, 0.19, 0.201, 0.26]), st.integers(0, 450), st.integers(0, 2)), max_size=8
+    )
+)
+def test_its_steps_follow_from_the_errors_that_are_recorded_of_it(course):
+    controller, recorded, demand = law(), FallBack(GAINS["swing_band"]), BrakeDemand(0.0)
+    for slip, periods, reference in course:
+        controller.reference = 0.2 + 0.01 * reference
+        for _ in range(periods):
+            demand = controller.update(seen(outlook(slip, 180.0)), PERIOD_S)
+            assert recorded.follow(demand.switching, controller.reference, PERIOD_S) == controller.steps
+        demand = controller.update(seen(None), PERIOD_S)  # held
+        assert recorded.follow(demand.switching, controller.reference, PERIOD_S) == controller.steps
 
 
 def test_the_first_demand_is_zero():

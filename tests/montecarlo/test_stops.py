@@ -23,7 +23,7 @@ from inteco_abs.montecarlo import (
     run_stops,
 )
 from inteco_abs.rig import EncoderVariation, RigVariation, draw, wheel_slip
-from inteco_abs.sessions import TICK, TRUTH, result_card
+from inteco_abs.sessions import FALL_BACKS, TICK, TRUTH, result_card
 from inteco_abs.signals import EXPLANATIONS, BrakeDemand, Command, Phase, Reason
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
@@ -261,7 +261,8 @@ def test_metrics_are_those_of_a_sessions_card():
         ticks["road_count"] = np.floor(trace.road_angle_rad * 2048 / (2.0 * math.pi))
         truth["slip"], truth["road_speed_rad_s"] = trace.slip, trace.road_speed_rad_s
         card = result_card(config, ticks, truth)
-        for name in set(METRICS) & card.keys() - {"stop_distance_m"}:
+        assert all(np.isnan(stops[name][place]) and card[name] is None for name in FALL_BACKS)
+        for name in set(METRICS) & card.keys() - {"stop_distance_m", *FALL_BACKS}:
             assert stops[name][place] == card[name], name
         assert stops["stop_distance_m"][place] == pytest.approx(card["stop_distance_m"], abs=0.001)
         error = trace.slip - reference

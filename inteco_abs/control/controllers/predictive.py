@@ -9,6 +9,7 @@ from typing import ClassVar, Final
 from inteco_abs import elementary
 from inteco_abs.control.controllers.base import Gain, Setup
 from inteco_abs.control.estimators.prediction import NOT_A_SLIP, braking_slip
+from inteco_abs.control.fall_back import FallBackState, fall_back
 from inteco_abs.control.functions import Function
 from inteco_abs.control.wheel_dynamics import WheelConstants, WheelDynamics, demanded_torque
 from inteco_abs.quantities import Quantity
@@ -19,12 +20,12 @@ from inteco_abs.signals import BrakeDemand, Estimate
 _START_RAD_S: Final = 180.0
 _RISEN_SLIP: Final = 0.035
 """Slip from which the adhesion is nearly full; reaching demands the torque of at least this slip."""
-_MOST_STEPS: Final = 5
-"""Steps of the fall-back; the last leaves 1/32 of the gains."""
-_CALM_S: Final = 0.2
-"""Time within the band after which the law takes a step back up."""
 _LEAST_HELD_NM: Final = 1.0
 """Torque below which the limit of the slip deceleration by a slow release falls no further."""
+
+
+SWING_BAND: Final = "swing_band"
+"""Gain by which the law falls back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +46,7 @@ class PredictiveConstants:
 
 
 @dataclass(slots=True)
-class PredictiveState:
+class PredictiveState(FallBackState):
     """The last demand, and the torque in N m that the brake is driven to."""
 
     reference: float = 0.0
@@ -58,14 +59,6 @@ class PredictiveState:
     brake_dead_time_s: float = 0.0
     brake_lag_s: float = 0.0
     settled_nm: float = 0.0
-    steps: int = 0
-    """Steps of the fall-back."""
-    calm_s: float = 0.0
-    """Time since the slip error was beyond the band, or since the last step back up."""
-    beyond: float = 0.0
-    """Slip error when it was there last; 0 before, and since the reference moved."""
-    supervised: float = 0.0
-    """Reference that this was an error of."""
 
 
 def predictive(k: PredictiveConstants, s: PredictiveState, estimate: Estimate, dt_s: float) -> BrakeDemand:
@@ -104,7 +97,7 @@ def _find_torques(k: PredictiveConstants, s: PredictiveState, estimate: Estimate
         release_s = seen.brake_lag_s * seen.slowest_release_ratio
         most = k.release_share * max(held - seen.excess_torque_nm, _LEAST_HELD_NM) / (by_held * release_s)
         deceleration = min(deceleration, most)
-    share = _supervise(k, s, switching, dt_s)
+    share = _share(k, s, switching, dt_s)
     rate, slope = _approach(share * k.k, switching, deceleration)
     wanted, by_rate, by_adhesion = demanded_torque(k.contact, slip, -rate, x1, x2, factor * mu)
     wanted -= seen.excess_torque_nm
@@ -122,19 +115,11 @@ def _find_torques(k: PredictiveConstants, s: PredictiveState, estimate: Estimate
     return True
 
 
-def _supervise(k: PredictiveConstants, s: PredictiveState, switching: float, dt_s: float) -> float:
+def _share(k: PredictiveConstants, s: PredictiveState, switching: float, dt_s: float) -> float:
     """Share of the gains that is left: half for each time that the slip error has swung from one side to the other."""
     if k.swing_band == 0.0:
         return 1.0
-    if s.supervised != s.reference:
-        s.supervised, s.beyond = s.reference, 0.0
-    s.calm_s += dt_s
-    if abs(switching) > k.swing_band:
-        if switching * s.beyond < 0.0 and s.steps < _MOST_STEPS:
-            s.steps += 1
-        s.beyond, s.calm_s = switching, 0.0
-    elif s.steps > 0 and s.calm_s > _CALM_S:
-        s.steps, s.calm_s = s.steps - 1, 0.0
+    fall_back(s, k.swing_band, switching, s.reference, dt_s)
     return elementary.raised(0.5, s.steps) if s.steps > 0 else 1.0
 
 
@@ -175,7 +160,15 @@ class PredictiveReaching(PredictiveState):
         Gain("a_most", 500.0, 0.1, 100_000.0, "1/s2", "limit of that growth"),
         Gain("kM", 400.0, 1.0, 10_000.0, "1/s", "rate at which the torque closes in on the law's"),
         Gain("release_share", 0.5, 0.0, 1.0, "1", "most of the deceleration by a release; 0: no limit"),
-        Gain("swing_band", 0.03, 0.0, 1.0, "1", "slip error to both sides of which the slip swings; 0: no fall-back"),
+        Gain(
+            SWING_BAND,
+            0.03,
+            0.0,
+            1.0,
+            "1",
+            "slip error to both sides of which the slip swings; 0: no fall-back",
+            fixed=True,
+        ),
     )
     internals: ClassVar[tuple[Quantity, ...]] = (
         Quantity("excess_torque_nm", "N.m", "torque beyond the brake's static map, as estimated"),

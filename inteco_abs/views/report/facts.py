@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple
 
 from inteco_abs.analysis import listed_changes, recorded_gains, settings_of
 from inteco_abs.sessions import Session, card_of
-from inteco_abs.views.result_panel import ROWS
+from inteco_abs.views.result_panel import FALL_BACK_ROWS, ROWS
 
 NOTHING: Final = "–"
 _LATENESS: Final = (("late, p50", "p50"), ("late, p99", "p99"), ("late, p99.9", "p999"), ("late, most", "max"))
@@ -36,7 +36,11 @@ class FactTable(NamedTuple):
 def result_rows(sessions: Sequence[Session]) -> list[FactRow]:
     """Result cards side by side; a value that was not measured is a dash."""
     cards = [card_of(session) or {} for session in sessions]
-    rows = [_row(label, [_number(card.get(key), form, factor) for card in cards]) for label, key, form, factor in ROWS]
+    own = FALL_BACK_ROWS if any(card.get("swing_share") is not None for card in cards) else ()
+    rows = [
+        _row(label, [_number(card.get(key), form, factor) for card in cards])
+        for label, key, form, factor in (*ROWS, *own)
+    ]
     rows += [_row(label, [_number(card.get(key), "{:.0f}") for card in cards]) for label, key in _COUNTS]
     late = [each if isinstance(each := card.get("lateness_us"), dict) else {} for card in cards]
     rows += [_row(label, [_number(each.get(key), "{:.1f} us") for each in late]) for label, key in _LATENESS]
