@@ -1,6 +1,8 @@
 """The open board's firmware as a library of this computer, with simulated pins, clock and line."""
 
 import ctypes
+import fcntl
+import os
 import shutil
 import subprocess
 from functools import cache
@@ -13,10 +15,17 @@ _ROOM = 1 << 16
 
 @cache
 def built(target):
-    """Path of what `make` builds."""
-    done = subprocess.run(["make", "-C", str(FIRMWARE), target], capture_output=True, text=True, check=False)
+    """Path of what `make` builds; one worker of the tests at a time."""
+    with (FIRMWARE / "Makefile").open() as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        done = subprocess.run(["make", "-C", str(FIRMWARE), target], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     return FIRMWARE / target
+
+
+def library():
+    """Path of the library; another one for a process that measures or mutates it."""
+    return Path(os.environ.get("HOST_BOARD") or built("build/host/libboard.so"))
 
 
 class HostBoard:
@@ -24,7 +33,7 @@ class HostBoard:
 
     def __init__(self, folder):
         self._copy = folder / f"board{id(self)}.so"  # a library that is loaded twice is one board
-        shutil.copyfile(built("build/host/libboard.so"), self._copy)
+        shutil.copyfile(library(), self._copy)
         self._board = ctypes.CDLL(str(self._copy))
         self._copy.unlink()
         self._board.host_twelve_bits.restype = ctypes.c_bool
@@ -70,6 +79,11 @@ class HostBoard:
     @property
     def tick_us(self):
         return self._board.host_tick_period_us()
+
+    @property
+    def off_us(self):
+        """When the board switched its outputs off last."""
+        return NUMBER(self._board.host_off_us()).value
 
     @property
     def inputs(self):

@@ -1,5 +1,6 @@
 """Logic 0x0111 of the firmware against the Python tables, and against the mock board."""
 
+from benches import SteeredDevice
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
@@ -8,7 +9,6 @@ from firmware_protocol.open_board import VENDOR_WATCHDOG_MS
 from firmware_protocol.rtdac_usb import DUMMY, LOGICS, READ_REQUEST, decode_read, encode_send
 from inteco_abs.boards.families.usb.mock import ByteStream, UsbFrontEnd
 from inteco_abs.config import load_config
-from inteco_abs.mock_board import Device
 
 LOGIC = LOGICS[0x0111]
 WATCHDOG_US = 1000 * VENDOR_WATCHDOG_MS
@@ -49,10 +49,11 @@ class MockBoard:
 
     def __init__(self, board):
         config = load_config(profile="sim_usb")
-        device = Device(config, lambda: board.clock_us * 1000)
+        device = SteeredDevice(config, lambda: board.clock_us * 1000)
+        device.seize()
+        device.show(0, 0)
         self.stream = ByteStream(UsbFrontEnd(device))
         self.stream.feed(send(pin_direction=0x3FFFFFF))  # as the firmware has them at power-up
-        device.begin_counts(0, 0)
 
     def answers(self, data):
         return [self._same(answer) for answer in _frames(self.stream.feed(data))]

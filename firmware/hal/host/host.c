@@ -18,6 +18,7 @@ static struct {
     unsigned width[HAL_PWMS];
     unsigned prescaler[HAL_PWMS];
     bool twelve_bits[HAL_PWMS];
+    uint32_t off_us;
     uint32_t inputs;
     uint32_t levels;
     uint32_t outputs;
@@ -136,6 +137,11 @@ bool host_twelve_bits(unsigned channel)
     return host.twelve_bits[channel];
 }
 
+uint32_t host_off_us(void)
+{
+    return host.off_us;
+}
+
 void host_set_room(unsigned bytes)
 {
     host.room = (bytes < ROOM) ? bytes : ROOM;
@@ -191,6 +197,7 @@ void hal_pwm(unsigned channel, uint16_t width, bool twelve_bits, uint16_t presca
 
 void hal_outputs_off(void)
 {
+    host.off_us = host.clock_us;
     for (unsigned i = 0u; i < HAL_PWMS; i++) {
         host.width[i] = 0u;
     }

@@ -12,7 +12,7 @@ void host_reset(void);
 /* Moves the clock on by `duration_us`, with a tick at each of the timer's instants on the way. */
 void host_advance(uint32_t duration_us);
 
-/* Delivers bytes from the host to the board, which handles them at once. Every hal_receive of theirs succeeds. */
+/* Delivers bytes from the host to the board, which handles them at once. */
 void host_write(const uint8_t *bytes, unsigned count);
 
 /* Takes at most `most` bytes that the board has sent; returns how many. */
@@ -36,6 +36,9 @@ uint32_t host_levels(void);
 unsigned host_width(unsigned channel);
 unsigned host_prescaler(unsigned channel);
 bool host_twelve_bits(unsigned channel);
+
+/* When the board switched its outputs off last, by its clock. */
+uint32_t host_off_us(void);
 
 /* Bytes that the board can queue for the host from now on, until the host reads. */
 void host_set_room(unsigned bytes);
