@@ -11,6 +11,7 @@ AbsError
 ├── SessionError   a session file cannot be written or used
 ├── CaptureError   a capture of the wire cannot be written, imported or used
 └── ProbeError     a step of the commissioning failed
+    ├── AnswerError    the operator's answer is none that was asked for
     └── Stopped        the operator left the commissioning
 """
 
@@ -46,6 +47,10 @@ _TO_DO: Final = {
     errno.ENAMETOOLONG: "choose a shorter name",
 }
 """By errno: what to do when a file cannot be written."""
+_ALIKE: Final = 0.65
+"""Least likeness of a word and what it was meant to be: of three letters, one may be another."""
+_ALIKE_FILES: Final = 0.75
+"""The same for names of files, which may be anything: of four letters, two may be in the wrong order."""
 _SCREEN_COLUMNS: Final = 80
 _SCREEN_LINES: Final = 20
 """Lines of a screen of 24 for the mistakes; the rest is for the text around them."""
@@ -143,6 +148,10 @@ class ProbeError(AbsError):
     """A step of the commissioning failed; the draft stays as it was before the step."""
 
 
+class AnswerError(ProbeError):
+    """The operator's answer is none that was asked for: nothing is wrong with board or profile."""
+
+
 class Stopped(ProbeError):  # noqa: N818  leaving is nothing wrong
     """The operator left the commissioning, which can continue later."""
 
@@ -174,7 +183,7 @@ def refusals(conditions: Iterable[Callable[[], object]]) -> list[AbsError]:
 def near_match(word: str, known: Iterable[str]) -> str:
     """Return the end of a message about a wrong name: `"; did you mean X?"`, or the known names if none is similar."""
     known = sorted(known)
-    near = difflib.get_close_matches(word, known, n=1)
+    near = difflib.get_close_matches(word, known, n=1, cutoff=_ALIKE)
     return f"; did you mean {near[0]}?" if near else f"; known: {', '.join(known) or 'none'}"
 
 
@@ -203,7 +212,7 @@ def near_file(path: Path) -> str:
     except OSError:
         return ""
     # all names of one folder have like suffixes: the rest must be alike, too
-    alike = [name for name in names if difflib.get_close_matches(path.stem, [name.rpartition(".")[0] or name])]
+    alike = [name for name in names if difflib.get_close_matches(path.stem, [Path(name).stem], cutoff=_ALIKE_FILES)]
     near = difflib.get_close_matches(path.name, alike, n=1)
     return f"; did you mean {path.with_name(near[0])}?" if near else ""
 

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from inteco_abs.analysis.catalogue import session_files
+from inteco_abs.analysis.gains import gains_in
 from inteco_abs.errors import SessionError
-from inteco_abs.sessions import DamagedError, read_metadata, stored_card
+from inteco_abs.sessions import DamagedError, Metadata, read_metadata, stored_card
 
 _SAME: Final = ("controller", "estimator", "board", "rig", "reference_slip")
 _SPEED: Final = "start_speed_rad_s"
@@ -24,6 +25,8 @@ _MOST_FILES: Final = 100
 def previous_card(card: Mapping[str, Any]) -> dict[str, Any] | None:
     """Card of the latest comparable session in the folder of this card's session; None without one.
 
+    Its key `differs` says which gains and seed are now others, as "Mk 2.0 -> 5.0"; empty if none.
+
     Comparable: completed, without injected faults, with the same controller, estimator, board, rig and reference slip,
     and within 1 % the same start speed. Nothing is comparable with a reference slip that changes, as the card lacks it.
     """
@@ -31,9 +34,13 @@ def previous_card(card: Mapping[str, Any]) -> dict[str, Any] | None:
         return None
     mine = Path(card["session"])
     for path in islice(_newest_first(mine), _MOST_FILES):
-        other = _stored_card(path)
+        metadata = _metadata(path)
+        other = None if metadata.get("injected") else stored_card(metadata)
         if other is not None and _comparable(card, other):
-            return other | {"session": str(path)}
+            before, now = _choices(metadata), _choices(_metadata(mine))
+            changed = [f"{name} {before.get(name, '-')} -> {value}" for name, value in now.items()
+                       if before.get(name) != value]  # fmt: skip
+            return other | {"session": str(path), "differs": ", ".join(changed)}
     return None
 
 
@@ -57,9 +64,14 @@ def _newest_first(mine: Path) -> Iterator[Path]:
     return (path for _, path in sorted(written, reverse=True))
 
 
-def _stored_card(path: Path) -> dict[str, Any] | None:
+def _metadata(path: Path) -> Metadata:
+    """Metadata of a session; empty if it is none, or damaged."""
     try:
-        metadata = read_metadata(path)
+        return read_metadata(path)
     except (SessionError, DamagedError):
-        return None
-    return None if metadata.get("injected") else stored_card(metadata)
+        return {}
+
+
+def _choices(metadata: Metadata) -> dict[str, str]:
+    """Gains and seed of a run."""
+    return {**gains_in(metadata), "seed": metadata.get("software", {}).get("seed", "")}

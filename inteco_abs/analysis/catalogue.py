@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from inteco_abs.analysis.conditions import parse_condition
+from inteco_abs.analysis.gains import gains_in
 from inteco_abs.analysis.index import default_index, indexed
 from inteco_abs.errors import ConfigError, SessionError, near_file, near_match
 from inteco_abs.quantities import finite
@@ -135,11 +136,7 @@ def _row(path: Path, metadata: Metadata, card: Mapping[str, Any]) -> CatalogueRo
         "injected": ", ".join(metadata.get("injected", {})) or None,
         "problem": newer(metadata) or None,
     }
-    gains = {
-        name.removeprefix("gain."): _value(value)
-        for name, value in controller.items()
-        if name.startswith("gain.") and not name.endswith(".hex")
-    }
+    gains = {name: _value(value) for name, value in gains_in(metadata).items()}
     described = {key: _words(value) for key, value in metadata.get("description", {}).items() if value}
     more: CatalogueRow = {
         **{name: value for name, value in card.items() if isinstance(value, int | float) and name != "schema_version"},

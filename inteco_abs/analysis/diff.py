@@ -16,7 +16,8 @@ import numpy.typing as npt
 
 from inteco_abs.analysis.gains import listed_changes, recorded_gains
 from inteco_abs.errors import ConfigError, ConfigIssue, near_match
-from inteco_abs.format import DOUBLE, INTERNALS, TICK, TRUTH, Column, Role
+from inteco_abs.format import DOUBLE, INTERNALS, TICK, TRUTH, Role
+from inteco_abs.quantities import Quantity
 from inteco_abs.sessions import CONFIG_NAME, Session, card_of, internals_of, joined_rows
 from inteco_abs.signals import Phase
 
@@ -43,13 +44,16 @@ class SignalChange(NamedTuple):
     key: str
     unit: str
     max_difference: float
+    """While both sessions are in the same phase, if the signal differs there, as the next three."""
     at_s: float
     """Time of the largest difference since braking began."""
     rms_difference: float
-    one_sided: int
-    """Number of ticks at which only one of the two is a number."""
     ticks: int
     """Number of ticks compared."""
+    one_sided: int
+    """Number of ticks at which only one of the two is a number, in any phase."""
+    other_phase: int
+    """Number of ticks that were left out, as one of the two had stopped, or brakes later."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -86,6 +90,7 @@ def _in_words(change: Change | SignalChange) -> str:
     unit = "" if change.unit == "1" else f" {change.unit}"
     line = f"{change.key}: up to {change.max_difference:.4g}{unit} at {change.at_s:.3f} s, "
     line += f"RMS {change.rms_difference:.4g}{unit} over {change.ticks} ticks"
+    line += f" in the same phase, of {change.ticks + change.other_phase}" if change.other_phase else ""
     return f"{line}; {change.one_sided} ticks have a number in one session only" if change.one_sided else line
 
 
@@ -105,7 +110,8 @@ def diff_sessions(a: Session, b: Session, sections: tuple[str, ...] = (), rel: f
 
     Metrics are equal within `rel` times the larger of the two, signals within `rel` times the peak in `a`. Signals are
     compared from the start of braking, or from the first tick if one session never braked; each tick of `a` with the
-    one of `b` nearest in time. Session, date and command line are not compared.
+    one of `b` nearest in time. Internals have the names that the controller declares. Session, date and command line
+    are not compared.
     """
     return Diff(
         {name: list(compare(a, b, rel)) for name, compare in _SECTIONS.items() if name in (sections or SECTIONS)}
@@ -198,12 +204,23 @@ def _signals(a: Session, b: Session, rel: float) -> Iterator[Change | SignalChan
         yield from _changes({"ticks": a.tick_count}, {"ticks": b.tick_count})
         return
     starts = _starts(a, b)
-    internals = [[each.name for each in internals_of(session.channels) if each.name] for session in (a, b)]
-    left_out = () if internals[0] == internals[1] else INTERNALS
-    outputs = [column for column in TICK.columns if column.role is Role.OUTPUT and column.name not in left_out]
-    yield from _compare("", outputs, _aligned(_ticks(a), _ticks(b), starts), rel)
+    named, others = ([each for each in internals_of(session.channels) if each.name] for session in (a, b))
+    same = [each.name for each in named] == [each.name for each in others]
+    called = dict(zip(INTERNALS, named, strict=False))
+    outputs = {
+        column.name: called.get(column.name) or Quantity(column.name, column.unit)
+        for column in TICK.columns
+        if column.role is Role.OUTPUT and column.kind is DOUBLE and (same or column.name not in INTERNALS)
+    }
+    phases = _PhasesApart()
+    yield from _compare(outputs, _aligned(_ticks(a), _ticks(b), starts), phases.of_ticks, rel)
     if a.truth_count and b.truth_count:
-        yield from _compare("truth.", TRUTH.columns, _aligned(_truths(a), _truths(b), starts), rel)
+        truths = {
+            column.name: Quantity(f"truth.{column.name}", column.unit)
+            for column in TRUTH.columns
+            if column.kind is DOUBLE
+        }
+        yield from _compare(truths, _aligned(_truths(a), _truths(b), starts), phases.of_truths, rel)
     else:
         yield from _changes({"truth": bool(a.truth_count)}, {"truth": bool(b.truth_count)})
 
@@ -279,42 +296,79 @@ def _since(rows: Array, start: int) -> Array:
     return times_ns
 
 
+class _PhasesApart:
+    """When two sessions are in different phases, which only their ticks have."""
+
+    def __init__(self) -> None:
+        self._begins: list[float] = []
+        self._ends: list[float] = []
+        self._apart = False
+
+    def of_ticks(self, rows: _AlignedRows) -> Array:
+        """Which rows are in the same phase, kept for the truths."""
+        apart = rows.a["phase"] != rows.b["phase"]
+        for at in np.flatnonzero(np.diff(apart, prepend=self._apart)):
+            (self._begins if apart[at] else self._ends).append(float(rows.since_s[at]))
+        self._apart = bool(apart[-1]) if len(apart) else self._apart
+        return np.asarray(~apart)
+
+    def of_truths(self, rows: _AlignedRows) -> Array:
+        """Which rows are in the same phase, after all ticks."""
+        begun, ended = (np.searchsorted(times, rows.since_s, "right") for times in (self._begins, self._ends))
+        return np.asarray(begun == ended)
+
+
 def _compare(
-    prefix: str, columns: Iterable[Column], aligned: Iterable[_AlignedRows], rel: float
+    columns: Mapping[str, Quantity],
+    aligned: Iterable[_AlignedRows],
+    in_same_phase: Callable[[_AlignedRows], Array],
+    rel: float,
 ) -> Iterator[SignalChange]:
-    found = {column: _Apart() for column in columns if column.kind is DOUBLE}
+    found = {name: (_Apart(), _Apart()) for name in columns}
     for rows in aligned:
-        for column, apart in found.items():
-            apart.add(rows.a[column.name], rows.b[column.name], rows.since_s)
-    for column, apart in found.items():
-        if apart.one_sided or apart.most > rel * apart.peak:
-            yield apart.change(prefix + column.name, column.unit)
+        same = in_same_phase(rows)
+        for name, (everywhere, alike) in found.items():
+            everywhere.add(rows.a[name], rows.b[name], rows.since_s)
+            alike.add(rows.a[name][same], rows.b[name][same], rows.since_s[same])
+    for name, (everywhere, alike) in found.items():
+        if everywhere.one_sided or everywhere.most > rel * everywhere.peak:
+            shown = alike if alike.most > 0.0 else everywhere
+            yield SignalChange(
+                columns[name].name,
+                columns[name].unit,
+                shown.most,
+                shown.at_s,
+                shown.rms,
+                shown.ticks,
+                everywhere.one_sided,
+                everywhere.ticks - shown.ticks,
+            )
 
 
 class _Apart:
     """How far a signal of two sessions is apart, block by block."""
 
     def __init__(self) -> None:
-        self.one_sided = self._ticks = self._known = 0
-        self.most = self.peak = self._at_s = self._squares = 0.0
+        self.one_sided = self.ticks = self._known = 0
+        self.most = self.peak = self.at_s = self._squares = 0.0
 
     def add(self, a: Array, b: Array, since_s: Array) -> None:
         known = np.isfinite(a) & np.isfinite(b)
         self.one_sided += int(((a != b) & ~known & ~(np.isnan(a) & np.isnan(b))).sum())
-        self._ticks += len(a)
+        self.ticks += len(a)
         apart = np.abs(a[known] - b[known])
         if not len(apart):
             return
         largest = int(apart.argmax())
         if apart[largest] > self.most or not self._known:
-            self.most, self._at_s = float(apart[largest]), float(since_s[known][largest])
+            self.most, self.at_s = float(apart[largest]), float(since_s[known][largest])
         self.peak = max(self.peak, float(np.abs(a[known]).max()))
         self._squares += float(np.sum(apart**2))
         self._known += len(apart)
 
-    def change(self, key: str, unit: str) -> SignalChange:
-        rms = math.sqrt(self._squares / self._known) if self._known else 0.0
-        return SignalChange(key, unit, self.most, self._at_s, rms, self.one_sided, self._ticks)
+    @property
+    def rms(self) -> float:
+        return math.sqrt(self._squares / self._known) if self._known else 0.0
 
 
 _SECTIONS: Final[dict[str, Callable[[Session, Session, float], Iterator[Change | SignalChange]]]] = {

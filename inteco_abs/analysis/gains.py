@@ -12,7 +12,7 @@ import numpy as np
 from inteco_abs.config import RigConfig
 from inteco_abs.control import REFERENCE, Controller, GainChange, Pipeline, gains_in_force, keeps_gain
 from inteco_abs.format import PARAMETERS_TOPIC
-from inteco_abs.sessions import Session, changes_among, session_config
+from inteco_abs.sessions import Metadata, Session, changes_among, session_config
 from inteco_abs.signals import Reason, Sample, Tick
 
 _GAIN: Final = "gain."
@@ -79,7 +79,12 @@ def _changed_steps(
 
 def recorded_gains(session: Session) -> dict[str, str]:
     """Gains of a session's run by name, as decimal text."""
-    facts = session.metadata.get("controller", {})
+    return gains_in(session.metadata)
+
+
+def gains_in(metadata: Metadata) -> dict[str, str]:
+    """Gains in a session's metadata by name, as decimal text."""
+    facts = metadata.get("controller", {})
     return {
         key.removeprefix(_GAIN): value
         for key, value in facts.items()

@@ -25,6 +25,20 @@ _VERBS: Final = {
 }  # fmt: skip
 """Verbs by heading of the help; the module of a verb is named as the verb."""
 _OLD_NAMES: Final = {"blink": "identify-led", "get": "extract", "layout": "viewer-layout", "probe": "commission"}
+_SYNONYMS: Final = {
+    **dict.fromkeys(("start", "brake", "stop"), "run"),
+    **dict.fromkeys(("simulate", "simulation", "sim", "virtual"), "run --virtual"),
+    **dict.fromkeys(("plot", "graph", "image"), "figure"),
+    **dict.fromkeys(("show", "open", "print", "summary"), "info"),
+    **dict.fromkeys(("ls", "find", "search", "runs", "sessions"), "list"),
+    **dict.fromkeys(("fit", "estimate"), "identify"),
+    **dict.fromkeys(("csv", "convert", "save"), "export"),
+    **dict.fromkeys(("check", "install", "permissions"), "doctor"),
+    "batch": "repeat", "calibrate": "commission", "compare": "diff", "help": "--help",
+    "montecarlo": "sweep", "repair": "recover", "test": "golden test", "tune": "run --tune or design",
+    "version": "--version",
+}  # fmt: skip
+"""What other programs call it."""
 
 
 class _Verbs(VerbGroup):
@@ -47,7 +61,10 @@ class _Verbs(VerbGroup):
 
 
 @click.group(
-    cls=_Verbs, aliases=_OLD_NAMES, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}
+    cls=_Verbs,
+    aliases=_OLD_NAMES,
+    synonyms=_SYNONYMS,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 @click.version_option(package_name="inteco-abs")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
@@ -64,6 +81,20 @@ def _describe_system_error(error: OSError) -> str:
     return f"the output cannot be written: {error.strerror or error}"
 
 
+def _with_settings(error: click.NoSuchOption) -> click.UsageError:
+    """The error with the settings of the name that was typed as an option, as --Mk for controller.gains.Mk."""
+    command = error.ctx.command if error.ctx else None
+    if command is None or not any("--set" in parameter.opts for parameter in command.params):
+        return error
+    from inteco_abs.config.explain import all_keys
+    from inteco_abs.control import CONTROLLERS
+
+    name = error.option_name.lstrip("-").replace("-", "_")
+    keys = dict.fromkeys(key.path for key in all_keys(CONTROLLERS) if key.path.rpartition(".")[2] == name)
+    meant = " or ".join(f"--set {key}=VALUE" for key in keys)
+    return click.UsageError(f"{error.message} Did you mean {meant}?", error.ctx) if meant else error
+
+
 def _replace_missing_letters() -> None:
     """Print ? for letters that the output's encoding does not have, as those of consoles of Windows."""
     for stream in (sys.stdout, sys.stderr):
@@ -78,7 +109,7 @@ def main() -> None:
     try:
         code = cli.main(prog_name="inteco-abs", standalone_mode=False)
     except click.ClickException as error:
-        error.show()
+        (_with_settings(error) if isinstance(error, click.NoSuchOption) else error).show()
         code = error.exit_code
     except AbsError as error:
         if debug:

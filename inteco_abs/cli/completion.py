@@ -21,7 +21,7 @@ _SHELLS: Final = {"bash": "~/.bashrc", "zsh": "~/.zshrc", "fish": "~/.config/fis
 def completion(context: click.Context, shell: str) -> int:
     """Print the completion script for a shell.
 
-    It completes verbs, options, controllers, estimators and configuration keys. For bash:
+    It completes verbs, options, controllers, estimators, rigs, faults and configuration keys. For bash:
     inteco-abs completion bash >> ~/.bashrc
     """
     from click.shell_completion import get_completion_class
@@ -57,6 +57,22 @@ def key_names(_context: click.Context, _parameter: click.Parameter, begun: str) 
     from inteco_abs.control import CONTROLLERS
 
     return _beginning(begun, dict.fromkeys(key.path for key in all_keys(CONTROLLERS)))
+
+
+def rig_names(_context: click.Context, _parameter: click.Parameter, begun: str) -> list[CompletionItem]:
+    """Populations, each with its first rig, or files of populations."""
+    from click.shell_completion import CompletionItem
+
+    from inteco_abs.rig import POPULATIONS
+
+    return _beginning(begun, [f"{name}:0" for name in POPULATIONS]) or [CompletionItem(begun, type="file")]
+
+
+def fault_names(_context: click.Context, _parameter: click.Parameter, begun: str) -> list[CompletionItem]:
+    """Faults, with the sign that follows: of a value, or of the time."""
+    from inteco_abs.mock_board.faults import KINDS
+
+    return _beginning(begun, [f"{name}{'=' if kind.value else '@'}" for name, kind in KINDS.items()])
 
 
 def _beginning(begun: str, names: Iterable[str]) -> list[CompletionItem]:

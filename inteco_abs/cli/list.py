@@ -22,7 +22,10 @@ _FIRST_TO_GO: Final = (
     "slip_rms_estimated", "estimator", "rig", "band_entry_s", "started_utc", "overruns", "lost_ticks", "stop_time_s",
     "outcome", "controller",
 )  # fmt: skip
-"""Columns that a narrow terminal leaves out, in this order."""
+"""Columns that a narrow terminal leaves out, in this order, before those that tell sessions apart."""
+_TELLING: Final = ("reference_slip", "seed", "virtual_time", "tags")
+"""Columns beside the gains that are shown if sessions differ in them."""
+_OF_VIRTUAL_TIME: Final = {"true": "virtual", "false": "real"}
 _GAP: Final = "  "
 _LATEST_OF_A_DATE: Final = len("2026-01-01T12:00:00")
 
@@ -61,8 +64,9 @@ def list_sessions(
 
     Of complete files it reads the summary only; `validate` checks every byte. A condition compares results, gains,
     reference_slip, board, rig, note, tags and all else that --json names, with = != < <= > >= or contains, joined by
-    and, or, not. An index in the cache folder saves reading files that have not changed; it may be deleted. Ends with 3
-    if a listed session is cut or damaged.
+    and, or, not. Gains, reference slip, seed, kind of time and tags are shown where sessions differ in them. An index
+    in the cache folder saves reading files that have not changed; it may be deleted. Ends with 3 if a listed session is
+    cut or damaged.
     """
     from inteco_abs.analysis import COLUMNS, session_rows, sort_rows
     from inteco_abs.views.listing import check_listing, write_listing
@@ -78,7 +82,7 @@ def list_sessions(
     if as_json:
         print_json({"schema_version": 1, "folder": str(folder), "sessions": rows})
     elif rows:
-        _print(folder, rows, {name: name for name in chosen} or _HEADS)
+        _print(folder, rows, {name: name for name in chosen} or _heads(rows))
     else:
         hint = "" if recursive else "; --recursive also searches its folders"
         such = f" with {where}" if where else ""
@@ -89,6 +93,16 @@ def list_sessions(
         write_listing(rows, page, chosen)
         say(f"page: {page}", err=True)
     return LOSSES if any(row["problem"] for row in rows) else 0
+
+
+def _heads(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """The usual columns, and after the estimator's the gains and other settings in which sessions differ."""
+    gains = dict.fromkeys(name for row in rows for name in (row.get("gains") or "").split(", ") if name)
+    readable = [row for row in rows if row["controller"]]
+    telling = [name for name in gains if len({row[name] for row in rows if name in row}) > 1]
+    telling += [name for name in _TELLING if len({row.get(name) for row in readable}) > 1]
+    place = list(_HEADS).index("rig")
+    return dict([*[*_HEADS.items()][:place], *((name, name) for name in telling), *[*_HEADS.items()][place:]])
 
 
 def _print(folder: Path, rows: Sequence[dict[str, Any]], heads: Mapping[str, str]) -> None:
@@ -115,7 +129,8 @@ def _remark(row: dict[str, Any]) -> str:
 def _left_out(widths: Mapping[str, int], room: int) -> list[str]:
     """Columns that do not fit into a line of `room` characters."""
     left_out: list[str] = []
-    for name in (name for name in _FIRST_TO_GO if name in widths):
+    telling = [name for name in widths if name not in _HEADS]
+    for name in (name for name in (*_FIRST_TO_GO, *reversed(telling)) if name in widths):
         kept = [width for column, width in widths.items() if column not in left_out]
         if sum(kept) + len(_GAP) * (len(kept) - 1) <= room:
             break
@@ -133,4 +148,6 @@ def _cell(folder: Path, row: dict[str, Any], name: str) -> str:
         return "-"
     if name == "started_utc":
         return plain(value[:_LATEST_OF_A_DATE])
-    return f"{value:.4f}" if isinstance(value, float) else plain(value)
+    if name == "virtual_time":
+        return _OF_VIRTUAL_TIME.get(str(value), "-")
+    return f"{value:{'.4f' if name in _HEADS else 'g'}}" if isinstance(value, float) else plain(value)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from inteco_abs.cli.completion import controller_names, estimator_names, key_names
+from inteco_abs.cli.completion import controller_names, estimator_names, fault_names, key_names, rig_names
 from inteco_abs.errors import AbsError, ConfigError, describe_disk, near_match
 from inteco_abs.quantities import number_hint
 
@@ -122,11 +122,18 @@ def _wanted(what: str, limits: click.IntRange | click.FloatRange, unit: str = ""
 
 
 class VerbGroup(click.Group):
-    """Group that suggests the nearest verb, and accepts old names without listing them."""
+    """Group that suggests the nearest verb or the one of that meaning, and accepts old names without listing them."""
 
-    def __init__(self, *arguments: Any, aliases: Mapping[str, str] | None = None, **more: Any) -> None:
+    def __init__(
+        self,
+        *arguments: Any,
+        aliases: Mapping[str, str] | None = None,
+        synonyms: Mapping[str, str] | None = None,
+        **more: Any,
+    ) -> None:
         super().__init__(*arguments, **more)
         self._aliases = aliases or {}
+        self._synonyms = synonyms or {}
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         return super().get_command(ctx, self._aliases.get(cmd_name, cmd_name))
@@ -136,7 +143,9 @@ class VerbGroup(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         command = self.get_command(ctx, args[0]) if args else None
         if args and command is None:
-            raise click.UsageError(f"no command {args[0]!r}{near_match(args[0], self.list_commands(ctx))}", ctx)
+            meant = self._synonyms.get(args[0].lower())
+            hint = f"; did you mean {meant}?" if meant else near_match(args[0], self.list_commands(ctx))
+            raise click.UsageError(f"no command {args[0]!r}{hint}", ctx)
         return super().resolve_command(ctx, [self._aliases.get(args[0], args[0]), *args[1:]] if args else args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -237,7 +246,7 @@ _OPTIONS: Final = {
     "virtual": _option("--virtual", is_flag=True, help="Use virtual time: fast and repeatable; sim: only."),
     "seed": _option("--seed", default=0, show_default=True, type=Whole(0),
                     help="Seed of the mock board's random state."),
-    "rig": _option("--rig", metavar="POPULATION:SEED",
+    "rig": _option("--rig", metavar="POPULATION:SEED", shell_complete=rig_names,
                    help="Simulate a sampled rig, as hard:17 or my-lab.toml:17; default: the published one."),
     "config": _option("--config", type=FILE, help="Configuration file (rig.toml); every key has a default."),
     "settings": _option("--set", multiple=True, type=SETTING, shell_complete=key_names, metavar="KEY=VALUE",
@@ -251,7 +260,7 @@ _OPTIONS: Final = {
                        help="Change a gain, or reference_slip, during the run, as in Mk=5@brake+200ms, "
                        "reference_slip=0.3@brake2 or Mk=5@3.5s."),
     "tune": _option("--tune", is_flag=True, help="Change gains with keys during a run in real time."),
-    "faults": _option("--inject", multiple=True, metavar="FAULT",
+    "faults": _option("--inject", multiple=True, metavar="FAULT", shell_complete=fault_names,
                       help="Inject a fault into the mock board, as lose@brake+20ms; `inteco-abs faults` lists all."),
     "live_port": _option("--foxglove", is_flag=False, flag_value=_LIVE_PORT, type=Whole(0, 65535), metavar="[PORT]",
                          help="Serve the running stop to Lichtblick or Foxglove on this computer; default port: "

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
+import textwrap
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import date
@@ -117,6 +119,15 @@ def fit_progress() -> Iterator[Callable[[float, float], None] | None]:
         yield update
 
 
+def wrapped(text: str, columns: int) -> str:
+    """Each line of `text` in lines of at most so many columns; a line's indentation is that of all its parts."""
+    lines = []
+    for line in text.split("\n"):
+        indent = " " * (len(line) - len(line.lstrip(" ")))
+        lines += textwrap.wrap(line, columns, subsequent_indent=indent, break_on_hyphens=False) or [line]
+    return "\n".join(lines)
+
+
 class Terminal:
     """Operator that reads stderr and answers on stdin, from a terminal or a file of answers."""
 
@@ -124,7 +135,8 @@ class Terminal:
         self._showing = False
 
     def say(self, text: str) -> None:
-        """Print one paragraph."""
+        """Print one paragraph, on a terminal without broken words."""
+        text = wrapped(text, shutil.get_terminal_size().columns) if on_terminal(sys.stderr) else text
         say(f"\n{text}" if self._showing else text, err=True)
         self._showing = False
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final, Protocol, TypeVar
 
-from inteco_abs.errors import ProbeError, Stopped
+from inteco_abs.errors import AnswerError, Stopped
 
 _MOST_TRIALS: Final = 3
 _STOP: Final = ("stop", "s", "q", "quit")
@@ -33,7 +33,7 @@ class Operator(Protocol):
 def ask_for(operator: Operator, question: str, read: Callable[[str], T | None], wanted: str) -> T:
     """Ask until `read` accepts the answer; `wanted` describes what it accepts.
 
-    Raises Stopped for the answer `stop`, ProbeError after three answers that it rejects.
+    Raises Stopped for the answer `stop`, AnswerError after three answers that it rejects.
     """
     for _ in range(_MOST_TRIALS):
         answer = operator.ask(question)
@@ -43,7 +43,7 @@ def ask_for(operator: Operator, question: str, read: Callable[[str], T | None], 
         if value is not None:
             return value
         operator.say(f"{answer!r}: must be {wanted}, or stop")
-    raise ProbeError(f"no valid answer in {_MOST_TRIALS} trials to: {question}")
+    raise AnswerError(f"no valid answer in {_MOST_TRIALS} trials to: {question}")
 
 
 def agree(operator: Operator, question: str) -> bool:
@@ -57,7 +57,7 @@ def wait_for(operator: Operator, request: str) -> None:
 
 
 def require_phrase(operator: Operator, request: str, phrase: str) -> None:
-    """Have `phrase` typed, in any case and spacing. Raises ProbeError for anything else."""
+    """Have `phrase` typed, in any case and spacing. Raises AnswerError for anything else."""
     answer = operator.ask(f'{request}\nType "{phrase}":')
     if answer.lower().split() != phrase.lower().split():
-        raise ProbeError(f'{answer!r} is not "{phrase}": nothing was written to the board')
+        raise AnswerError(f'{answer!r} is not "{phrase}": nothing was written to the board')

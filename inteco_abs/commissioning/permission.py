@@ -22,7 +22,7 @@ def outputs_permitted(context: StepContext, request: str, phrase: str) -> RigCon
     """Configuration that allows outputs, after the operator typed `phrase`.
 
     It is signed in memory only, for the logic that the header step read, with the guard's limits of this procedure.
-    Raises ReadOnlyError for a profile whose outputs must never be used, ProbeError for any other phrase.
+    Raises ReadOnlyError for a profile whose outputs must never be used, AnswerError for any other phrase.
     """
     config = context.draft.config
     board, guard, plan = config.board, config.guard, config.experiment

@@ -15,7 +15,7 @@ from inteco_abs.commissioning.pwm_echo import echo_settings
 from inteco_abs.commissioning.sign_off import sign
 from inteco_abs.commissioning.step import Step, StepContext
 from inteco_abs.config import WIRING
-from inteco_abs.errors import AbsError, ConfigError, Stopped, near_match
+from inteco_abs.errors import AbsError, AnswerError, ConfigError, Stopped, near_match
 
 DONE: Final = "done"
 _FAILED: Final = "failed"
@@ -83,6 +83,7 @@ STEPS: Final = (
         (*_LOGIC, *WIRING),
     ),
 )
+_ASK_AGAIN: Final = "the same command asks again; type what stands between the quotes, or press just Enter"
 _QUIET: Final = ("list", "header", "reads")
 """Steps that need no operator."""
 
@@ -155,7 +156,8 @@ class Procedure:
         except Stopped:
             raise
         except AbsError as error:
-            error.add_note(f"step {number} ({step.name}) failed. What to do: {step.if_it_fails}")
+            advice = _ASK_AGAIN if isinstance(error, AnswerError) else step.if_it_fails
+            error.add_note(f"step {number} ({step.name}) failed. What to do: {advice}")
             self._draft.record(step.name, {"outcome": _FAILED, "on": _now(), "problem": str(error)})
             raise
         rests_on = self._draft.wiring(step.rests_on)

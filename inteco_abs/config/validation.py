@@ -159,6 +159,8 @@ def _issue(detail: Any) -> ConfigIssue:
     value, kind = detail["input"], detail["type"]
     if kind == "unexpected_keyword_argument":
         section = section_at(location[:-1])
+        if len(location) == 1 and (paths := _paths_named(path)):
+            return ConfigIssue(path, f"unknown key; did you mean {' or '.join(paths)}?")
         return ConfigIssue(path, f"unknown key{near_match(str(location[-1]), key_types(section) if section else ())}")
     if kind == "missing":
         return ConfigIssue(path, "is missing; a profile normally provides it")
@@ -166,6 +168,12 @@ def _issue(detail: Any) -> ConfigIssue:
         return ConfigIssue(path, f"{shortened(value)}: must be a section, as [{path}] with its keys below")
     ceiling = f" ({_CEILINGS[path]})" if path in _CEILINGS and kind == "less_than_equal" else ""
     return ConfigIssue(path, f"{shortened(value)}: must be {limits(location)}{ceiling}{_meant(location, value, kind)}")
+
+
+def _paths_named(key: str) -> list[str]:
+    """Keys of that name within the sections."""
+    inner = ((name, section_at([name])) for name in key_types(RigConfig))
+    return [f"{name}.{key}" for name, section in inner if section is not None and key in key_types(section)]
 
 
 def _meant(location: Sequence[Any], value: object, kind: str) -> str:

@@ -177,6 +177,7 @@ def control_check(
                 yield from error.mistakes
             else:
                 yield from _check_gains(name, section_of(controller, "gains"), gains)
+                yield from _bare_gains(table, gains)
                 yield from check_reference(name, controllers[name], controller)
                 yield from _check_changes(section_of(table, "experiment").get("changes"), gains)
 
@@ -205,6 +206,13 @@ def _check_parameters(name: object, estimator: Mapping[str, Any], loop: Mapping[
             yield from error.mistakes
         else:
             yield from check(estimator, loop)
+
+
+def _bare_gains(table: Mapping[str, Any], gains: tuple[Gain, ...]) -> Iterator[ConfigIssue]:
+    """Gains that stand without their section."""
+    for gain in gains:
+        if gain.name in table:
+            yield ConfigIssue(gain.name, f"unknown key; did you mean controller.gains.{gain.name}?")
 
 
 def _check_gains(controller: str, values: Mapping[str, Any], gains: tuple[Gain, ...]) -> Iterator[ConfigIssue]:

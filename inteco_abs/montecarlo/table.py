@@ -131,7 +131,7 @@ def _by_range(rows: Sequence[SweepRow]) -> list[tuple[str, list[SweepRow]]]:
 
 
 def _number(value: float, form: str) -> str:
-    return format(value, form) if math.isfinite(value) else "never"
+    return format(value, form) if math.isfinite(value) else "none"
 
 
 def figure_of_sweep(rows: Sequence[SweepRow]) -> Figure:

@@ -30,7 +30,7 @@ from inteco_abs.views.tuning_panel import Tunable, TuningPanel
 LEAST: Final = (80, 24)
 """Columns and rows of the smallest terminal for the whole dashboard."""
 CTRL_C: Final = "Ctrl-C stops safely"
-KEYS: Final = "q, space or Ctrl-C stops safely"
+KEYS: Final = "q or Ctrl-C stops safely"
 _SIDE_BY_SIDE: Final = 110
 """Columns from which on the two plots stand side by side."""
 _MOST_ROWS: Final = 19
@@ -331,13 +331,13 @@ class Dashboard:
 
 
 def in_one_line(snapshot: Snapshot, hint: str) -> Text:
-    """Phase, speeds, slip and overruns, shortened to the terminal."""
+    """Phase, speeds, slip, how to stop, and overruns, shortened to the terminal."""
     return one_line(
         [
             (named(snapshot.phase), "bold"),
             (f" {snapshot.road_speed_rad_s:.0f} rad/s, slip {snapshot.slip:.2f}, ", ""),
+            (f"{hint}, " if hint else "", ""),
             (f"{snapshot.overruns} overruns", "red" if snapshot.overruns else ""),
-            (f", {hint}" if hint else "", ""),
         ]
     )
 

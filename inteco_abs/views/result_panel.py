@@ -31,8 +31,6 @@ FALL_BACK_ROWS: Final = (
     ("fallen back for", "fall_back_s", "{:.3f} s", 1.0),
 )
 """Those of a law that falls back."""
-_NEITHER: Final = frozenset({"start_speed_rad_s"})
-"""Keys of which neither more nor less is better."""
 _COLOURS = {"completed": "green", "interrupted": "yellow"}
 
 
@@ -41,16 +39,17 @@ def render_card(
 ) -> RenderableType:
     """The card as a panel, with differences from the card `before`; a value that was not measured is a dash.
 
+    A difference of two stops is no verdict: equal runs differ, too. `before["differs"]` says in what the runs do.
     `plain` uses ASCII only.
     """
     table = Table.grid(padding=(0, 2))
-    table.add_column(style="dim", no_wrap=True)
+    table.add_column(style="dim")  # a narrow terminal breaks labels, and never a number
     table.add_column(justify="right", no_wrap=True)
     table.add_column(no_wrap=True)
     own = FALL_BACK_ROWS if card.get("swing_share") is not None else ()
     for label, key, form, factor in (*ROWS, *own) if card["stops"] else ():
         value = card[key]
-        change = Text() if before is None else _change(key, value, before.get(key), form, factor, plain=plain)
+        change = Text() if before is None else _change(value, before.get(key), form, factor, plain=plain)
         table.add_row(label, "-" if value is None else form.format(value * factor), change)
     late = card["lateness_us"]
     table.add_row("ticks, overruns, link errors", f"{card['ticks']}, {card['overruns']}, {card['link_errors']}")
@@ -67,14 +66,15 @@ def render_card(
         head.append(f", median of {card['stops']} stops")
     body: list[RenderableType] = [head, table]
     if before is not None:
-        body.append(Text(f"compared with {before['session']}", style="dim"))
+        differs = before.get("differs") or "same gains and seed"
+        body.append(Text(f"compared with {before['session']}: {differs}", style="dim"))
     if outcome != "completed":
         body.insert(1, Text(explanation, style=colour))
     return Panel(Group(*body), title="braking stop", subtitle=Text(str(card["session"])), expand=False)
 
 
-def _change(key: str, value: Any, earlier: Any, form: str, factor: float, *, plain: bool) -> Text:
-    """Arrow and difference, with "better" or "worse": less is better for all but the start speed."""
+def _change(value: Any, earlier: Any, form: str, factor: float, *, plain: bool) -> Text:
+    """Arrow and difference."""
     if not isinstance(value, int | float) or not isinstance(earlier, int | float):
         return Text()
     number = form.partition(" ")[0]
@@ -82,7 +82,4 @@ def _change(key: str, value: Any, earlier: Any, form: str, factor: float, *, pla
     if number.format(value * factor) == number.format(earlier * factor):
         return Text("=", style="dim")
     up, down = ("^", "v") if plain else ("▲", "▼")
-    text = f"{up if difference > 0.0 else down} {number.replace('{:', '{:+').format(difference)}"
-    if key in _NEITHER:
-        return Text(text, style="dim")
-    return Text(f"{text} worse", style="yellow") if difference > 0.0 else Text(f"{text} better", style="green")
+    return Text(f"{up if difference > 0.0 else down} {number.replace('{:', '{:+').format(difference)}")

@@ -8,7 +8,7 @@ import pytest
 from inteco_abs.boards import Board, unconfirmed
 from inteco_abs.commissioning import MockRigAccess, PacedMockRigAccess
 from inteco_abs.config import load_config
-from inteco_abs.errors import ConfigError, ProbeError, Stopped
+from inteco_abs.errors import AnswerError, ConfigError, ProbeError, Stopped
 from inteco_abs.experiment import manual_control
 
 STEPS = ["list", "header", "reads", "wheels", "echo", "motors", "sign"]
@@ -170,14 +170,27 @@ def test_a_wiring_edited_by_hand_is_noticed(lab):
     assert lab.outcomes()["sign"] == "outdated"
 
 
-def test_a_step_that_failed_says_what_to_do(lab):
+def test_a_step_that_failed_says_what_to_do(lab, monkeypatch):
     lab.done_until("echo")
+
+    def refuse(*_arguments, **_more):
+        raise ProbeError("a wheel moved")
+
+    monkeypatch.setattr("inteco_abs.commissioning.pwm_echo.agree_on_first_write", refuse)
     with pytest.raises(ProbeError) as failure:
-        lab.session("", "another answer").go()
-    assert "step 5 (echo) failed. What to do" in failure.value.__notes__[0]
+        lab.session("", "the power interface is off").go()
+    assert "step 5 (echo) failed. What to do: the profile's PWM words" in failure.value.__notes__[0]
     kept = json.loads(lab.draft.results_file.read_text())["steps"]["echo"]
     assert kept["outcome"] == "failed"
-    assert "another answer" in kept["problem"]
+    assert "a wheel moved" in kept["problem"]
+
+
+@pytest.mark.parametrize("typed", ["", "the powre interface is off"])
+def test_a_mistyped_phrase_blames_no_profile(lab, typed):
+    lab.done_until("echo")
+    with pytest.raises(AnswerError) as failure:
+        lab.session("", typed).go()
+    assert "What to do: the same command asks again" in failure.value.__notes__[0]
 
 
 class StoppedClock:

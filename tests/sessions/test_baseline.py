@@ -48,7 +48,8 @@ def test_with_a_changing_reference_nothing_is_comparable(folder):
 
 def test_its_card_is_whole_and_says_where_it_lies(folder):
     first = folder.stop()
-    assert previous_card(folder.stop()) == first
+    assert previous_card(folder.stop()) == first | {"differs": ""}
+    assert previous_card(folder.stop("controller.gains.Mk=7.0"))["differs"] == "Mk 2.0 -> 7.0"
 
 
 @pytest.mark.parametrize(

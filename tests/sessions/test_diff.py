@@ -49,7 +49,10 @@ def test_another_gain_shows_in_gains_configuration_result_and_signals(quick, run
     found = diff_sessions(quick.session, run("controller.gains.Mk=9.0").session)
     assert found.changes["gains"] == [("Mk", "2.0", "9.0")] or keys(found)["gains"] == ["Mk"]
     assert keys(found)["configuration"] == ["controller.gains.Mk"]
-    assert "brake" in keys(found)["signals"]
+    signals = {change.key: change for change in found.changes["signals"]}
+    assert {"brake", "torque_eq_nm"} <= set(signals)
+    assert signals["torque_eq_nm"].unit == "N.m"
+    assert not {"c0", "c1", "c2"} & set(signals)
     assert set(keys(found)) == {"result", "signals", "gains", "configuration"}
 
 
@@ -95,6 +98,26 @@ def test_a_signal_is_compared_from_the_start_of_braking_on(quick, changed):
     assert change.max_difference == pytest.approx(0.25)
     assert change.at_s == pytest.approx(100 * 0.0005)
     assert change.rms_difference == pytest.approx(0.25 / np.sqrt(change.ticks))
+
+
+def test_what_is_different_only_as_one_has_stopped_does_not_hide_the_rest(quick, changed):
+    braking = np.flatnonzero(quick.session.ticks["phase"] == Phase.BRAKING)
+
+    def sooner(ticks):
+        ticks["phase"][braking[-20:]] = Phase.STOPPED
+        ticks["brake"][braking[-20:]] += 0.5
+        ticks["brake"][braking[40]] += 0.01
+
+    def of_truth(truth):
+        truth["brake"][braking[-20:]] += 0.5
+        truth["brake"][braking[40]] += 0.01
+
+    found = diff_sessions(quick.session, changed(ticks=sooner, truth=of_truth)).changes["signals"]
+    for change in found:
+        assert change.max_difference == pytest.approx(0.01)
+        assert change.at_s == pytest.approx(40 * 0.0005, abs=1e-3)
+        assert change.other_phase == 20
+    assert [change.key for change in found] == ["brake", "truth.brake"]
 
 
 def test_an_earlier_start_of_braking_changes_no_signal(quick, changed):

@@ -141,12 +141,19 @@ def test_an_index_that_cannot_be_used_costs_time_alone(folder, index, damage):
     assert found(folder, "tags contains 'wet'", index) == ["b"]
 
 
+def test_sessions_are_told_apart_by_what_differs_in_them(folder, verb, run):
+    (folder / "d.mcap").write_bytes(run("controller.gains.Mk=7.5").path.read_bytes())
+    lines = verb("list", folder).out.splitlines()
+    assert lines[0].split()[:7] == ["session", "date", "outcome", "controller", "estimator", "Mk", "tags"]
+    assert [line.split()[5] for line in lines[1:]].count("7.5") == 1
+
+
 def test_the_verb_lists_columns_and_writes_them(folder, verb, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     out = tmp_path / "out.csv"
     words = ["--where", "tags contains 'new'", "--columns", "session,tags,Mk", "--csv", out]
     done = verb("list", folder, *words)
-    assert done.out.split() == ["session", "tags", "Mk", "b.mcap", "wet,", "new", "2.0000"]
+    assert done.out.split() == ["session", "tags", "Mk", "b.mcap", "wet,", "new", "2"]
     assert out.read_text(encoding="utf-8").splitlines()[0] == "session,tags,Mk"
     assert len(verb("list", folder, "--json").json["sessions"]) == 3
     assert (tmp_path / "cache" / "inteco-abs" / "sessions.sqlite").is_file()

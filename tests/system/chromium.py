@@ -28,7 +28,8 @@ class Browser:
     def __init__(self, driver):
         self.driver = driver
 
-    def show(self, path: Path, scheme="light", width=1280):
+    def show(self, path: Path, scheme="light", width=1280, *, touch=False):
+        self.command("Emulation.setTouchEmulationEnabled", enabled=touch)
         self.command("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
         self.command("Emulation.setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=False)
         self.driver.get(path.as_uri())

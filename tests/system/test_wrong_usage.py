@@ -8,6 +8,9 @@ DRAFT = ("rig-profile.toml", "rig-profile.results.json")
 ROWS = [
     Row("no such verb", "bogus", 2, ("no command 'bogus'",), "known: annotate, benchmark, commission"),
     Row("nearly a verb", "rum", 2, ("no command 'rum'",), "did you mean run?"),
+    Row("a verb of other programs", "simulate", 2, ("no command 'simulate'",), "did you mean run --virtual?"),
+    Row("a verb that only sounds alike", "golden plot", 2, ("no command 'plot'",), "known: add"),
+    Row("a gain as an option", "run --Mk 5", 2, ("No such option '--Mk'",), "--set controller.gains.Mk=VALUE"),
     Row("underscore for a dash", "what_if", 2, ("what_if",), "did you mean what-if?"),
     Row("nearly a verb of a group", "golden tset", 2, ("no command 'tset'",), "did you mean test?"),
     Row("nearly an option", "run --bord sim:", 2, ("--bord",), "--board"),

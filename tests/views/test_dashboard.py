@@ -11,7 +11,7 @@ from rich.console import Console, Group
 from inteco_abs.config import load_config
 from inteco_abs.realtime.screen import Point, Snapshot, StartCheck
 from inteco_abs.signals import Phase
-from inteco_abs.views.dashboard import CTRL_C, Dashboard, in_one_line
+from inteco_abs.views.dashboard import CTRL_C, KEYS, Dashboard, in_one_line
 
 CONFIG = load_config(settings=("guard.brake_limit=0.7",))
 USUAL = Snapshot(
@@ -314,11 +314,14 @@ class TestEverySize:
 class TestLine:
     def text(self, snapshot, width=80):
         console = Console(file=io.StringIO(), width=width)
-        console.print(Group(in_one_line(snapshot, CTRL_C)))
+        console.print(Group(in_one_line(snapshot, KEYS)))
         return console.file.getvalue()
 
     def test_it_names_phase_speed_slip_overruns_and_how_to_stop(self):
-        assert self.text(USUAL) == f"braking 128 rad/s, slip 0.20, 0 overruns, {CTRL_C}\n"
+        assert self.text(USUAL) == f"braking 128 rad/s, slip 0.20, {KEYS}, 0 overruns\n"
+
+    def test_60_columns_have_room_for_how_to_stop(self):
+        assert KEYS in self.text(USUAL._replace(phase=Phase.SPIN_UP), 60)
 
     @pytest.mark.parametrize("width", [20, 40, 59])
     @settings(max_examples=40)

@@ -22,8 +22,8 @@ BLUE, RED = (0x00, 0x72, 0xB2), (0xD5, 0x5E, 0x00)
 class ReportBrowser(Browser):
     """A Chromium with a report in it."""
 
-    def show(self, path: Path, scheme="light", width=1280):
-        super().show(path, scheme, width)
+    def show(self, path: Path, scheme="light", width=1280, *, touch=False):
+        super().show(path, scheme, width, touch=touch)
         self.wait("return [...document.querySelectorAll('figure')].length == 0 || Bokeh.documents[0]?.is_idle")
         self.settle()
 
@@ -51,6 +51,21 @@ class ReportBrowser(Browser):
         chain.move_to_element_with_offset(plot, to_px, 0).release().perform()
         self.settle()
 
+    def swipe_up(self, name):
+        """How far a finger that moves up over a plot scrolls the page, px."""
+        from selenium.webdriver.common.actions.action_builder import ActionBuilder
+        from selenium.webdriver.common.actions.pointer_input import PointerInput
+
+        place, before = self.plot(name).rect, self.run("return window.scrollY")
+        x, y = place["x"] + place["width"] / 2, place["y"] + place["height"] / 2 - before
+        actions = ActionBuilder(self.driver, mouse=PointerInput("touch", "finger"), duration=200)
+        finger = actions.pointer_action
+        finger.move_to_location(int(x), int(y)).pointer_down().move_to_location(int(x), int(y) - 200).pointer_up()
+        actions.perform()
+        self.settle()
+        self.settle()
+        return self.run("return window.scrollY") - before
+
     def point_at(self, name):
         from selenium.webdriver import ActionChains
 
@@ -75,6 +90,13 @@ def page(session, tmp_path_factory):
     return path
 
 
+@pytest.fixture(scope="module")
+def two_stops(session, others, tmp_path_factory):
+    path = tmp_path_factory.mktemp("two") / "stops.html"
+    write_report([session, others[0]], path)
+    return path
+
+
 def test_everything_is_drawn_and_nothing_complains(browser, page):
     browser.show(page)
     for name in (*OVER_TIME, "plane"):
@@ -96,6 +118,16 @@ def test_a_zoom_in_one_plot_is_a_zoom_in_all(browser, page):
     assert (np.abs(browser.picture("speeds") - before).max(axis=-1) > 60).sum() > 100
     browser.run("document.querySelector('button[data-from]').click()")
     assert browser.ranges("timing") == pytest.approx(whole)
+
+
+def test_a_phone_scrolls_over_plots_and_shows_the_table_of_results_whole(browser, two_stops):
+    browser.show(two_stops, width=400, touch=True)
+    assert browser.swipe_up("slip") > 100
+    width, room = browser.run(
+        "const t = document.querySelector('.result .wide'); return [t.scrollWidth, t.clientWidth]"
+    )
+    assert width <= room
+    browser.show(two_stops)
 
 
 @pytest.mark.long

@@ -33,8 +33,18 @@ function tell(time) {
 // bokeh makes its document when the page is there, and some time after that
 function follow() {
   const cursor = Bokeh.documents[0]?.get_model_by_name("cursor");
-  if (cursor) cursor.properties.location.change.connect(() => tell(cursor.location));
-  else requestAnimationFrame(follow);
+  if (!cursor) {
+    requestAnimationFrame(follow);
+    return;
+  }
+  cursor.properties.location.change.connect(() => tell(cursor.location));
+  if (window.matchMedia("(pointer: coarse)").matches) scroll();
+}
+// a finger scrolls the page, also over a plot; a tool of the plot's bar that is tapped zooms
+function scroll() {
+  for (const plot of Bokeh.documents[0].roots()) {
+    for (const tool of plot.toolbar?.tools ?? []) if (tool.event_types?.includes("pan")) tool.active = false;
+  }
 }
 if (window.Bokeh) follow();
 // bokeh asks for the page's colours while it draws, so that it has to draw again when they change
