@@ -13,6 +13,7 @@ from binascii import crc_hqx
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
+from struct import Struct
 from types import MappingProxyType
 from typing import Final
 
@@ -96,6 +97,8 @@ class Message:
     meaning: str
     table: FrameTable
     """Fields of the whole frame, `sequence` included."""
+    codec: Struct
+    """Packs and unpacks all of the payload, at `HEAD_BYTES`, without checks: for the loop."""
 
     @property
     def from_host(self) -> bool:
@@ -140,6 +143,8 @@ _HEAD_FIELDS: Final = 3
 _ENVELOPE: Final = ("kind", "length", "crc")
 _SOURCE: Final = "this table"
 _WIDTHS: Final = {"u8": 1, "u16": 2, "u32": 4, "i32": 4, "text8": 8, "hex8": 8}
+_CODES: Final = {"u8": "B", "u16": "H", "u32": "I", "i32": "i", "text8": "8s", "hex8": "8s"}
+"""The struct module's codes, by form."""
 _KINDS: Final = {"i32": ValueKind.SIGNED, "text8": ValueKind.TEXT, "hex8": ValueKind.HEX}
 
 
@@ -175,7 +180,8 @@ def _message(name: str, kind: int, meaning: str, *payload: tuple[str, str, str, 
         command=SYNC,
         fixed={"kind": kind, "length": length},
     )
-    return Message(name, kind, meaning, table)
+    codec = Struct("<" + "".join(_CODES[form] for _, form, _, _ in payload))
+    return Message(name, kind, meaning, table, codec)
 
 
 _STATE: Final = ("state", "u8", "1", "0 idle, 1 configured, 2 armed, 3 tripped")

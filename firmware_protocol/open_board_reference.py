@@ -79,7 +79,7 @@ REPORT of a tick has the low 8 bits of the tick.
 * **CONFIGURE**: REFUSAL 2 for `watchdog_ms` outside {watchdog[0]}..{watchdog[1]}, for `tick_hz` other than 0
   and the divisors of 1000000 in {tick[0]}..{tick[1]}, for another `pwm_mode`, and for a watchdog shorter than {periods}
   periods: `watchdog_ms * tick_hz` must be at least {least}, or `tick_hz` 0. REFUSAL 5 while logic 0x0111 has a width
-  on. It lets all counters run.
+  on. It sets all settings of logic 0x0111 back to those after reset, so that no counter is held.
 * **ARM**: `answer` is the challenge of the newest STATUS, exclusive or 0x{mask:04X}; REFUSAL 3 for another. REFUSAL 4
   while an input of `stop_pins` is low, 5 while logic 0x0111 has a width on. The state is looked at first, then answer,
   stop inputs, outputs. Each accepted ARM, each DISARM, trip and reset draws another challenge: a frame that is repeated

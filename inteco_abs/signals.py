@@ -181,9 +181,9 @@ class Timing(NamedTuple):
     """Timing of a tick, in microseconds."""
 
     late_us: float
-    """Start of the tick minus its deadline."""
+    """Start of the tick minus its deadline; paced by the board, how much later its report came than the quickest."""
     io_us: float
-    """Duration of the exchange with the board."""
+    """Duration of the exchange with the board; paced by the board, of sending the command before."""
     busy_us: float
     """Time of the previous tick after its exchange: decision and record."""
     skipped: int

@@ -52,7 +52,9 @@ def lab(tmp_path):
 
 def test_the_profiles_for_every_board_are_shipped():
     assert set(profiles()) == {
+        "open_board",
         "pci_abs_50f",
+        "sim_open",
         "sim_pci",
         "sim_usb",
         "sim_usb2",
@@ -85,7 +87,7 @@ def test_every_key_that_outputs_rest_on_has_a_status_and_a_source(name):
         assert evidence.source, key
     unused = {"numbering_pwm", "timer", "watchdog_pin", "watchdog_contact_pin"}
     relied_on = {*WIRING} - {"numbering_pins"} - {key for key in unused if getattr(board, key) < 0}
-    relied_on -= {"pwm_pins", "pwm_functions"} if board.kind == "pci" else set()
+    relied_on -= {"pwm_pins", "pwm_functions"} if board.kind in {"open", "pci"} else set()
     relied_on -= {"pwm_functions"} if board.pwm_functions is None else set()
     relied_on -= set() if board.kind == "usb2" else {"frame_map"}
     relied_on -= set() if board.constants else {"constants"}
@@ -291,7 +293,7 @@ class TestLimits:
             load_config(settings=[*signed, "board.simulated=true"], profile="usb2_generic_0103")
 
     def test_a_kind_that_no_family_has_is_refused_with_those_that_there_are(self):
-        with pytest.raises(ConfigError, match=r"board\.kind: no board family 'USB2'; known: pci, usb, usb2"):
+        with pytest.raises(ConfigError, match=r"board\.kind: no board family 'USB2'; known: open, pci, usb, usb2"):
             load_config(settings=["board.kind=USB2"], checks=[kind_check])
 
     def test_a_session_with_any_limits_is_still_read(self):

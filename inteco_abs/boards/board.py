@@ -82,6 +82,10 @@ class Board(ABC):
         self.identity: Identity | None = None
         self.armed = False
         """Whether each exchange after a good one feeds the watchdog, if the wiring has one; nothing else does."""
+        self.late_ns = 0
+        """How late the newest `report` came, ns."""
+        self.skipped = 0
+        """Ticks of the board between the newest `report` and the one before."""
         self._now_ns = now_ns
         self._period_ns = period_ns
         self._tick = 0
@@ -217,6 +221,18 @@ class Board(ABC):
         self._wheel_count += signed32(wheel - wheel_before)
         self._road_count += signed32(road - road_before)
         return self._sample(self._dated(now), _GOOD if now - start <= self._period_ns else _SLOW)
+
+    def start_pacing(self) -> None:
+        """Let the board's tick start the samples from now on, for `answer` and `report`; raises BoardError."""
+        raise BoardError("this board has no tick: set loop.pace to computer")
+
+    def answer(self, command: Command) -> None:
+        """Send `command`, decided from the newest sample, for the board's next tick; waits for nothing."""
+        raise NotImplementedError
+
+    def report(self) -> Sample:
+        """Wait for the board's next tick and return its sample, as `exchange` does."""
+        raise NotImplementedError
 
     @property
     def watchdog_closed(self) -> bool | None:

@@ -73,6 +73,8 @@ class BoardFamily:
     """Keys of the wiring without effect."""
     fast_readings: bool = False
     """Whether `Board.readings` fits into a period, so that a screen may show it while outputs are on."""
+    tick_hz: tuple[int, ...] = ()
+    """Rates at which a board's own tick can pace the loop; empty: it has none."""
     velocity: str = ""
     """Name, among `Board.readings`, of the road wheel's velocity as the board measures it, in rpm."""
     reading_caution: str = ""
@@ -119,6 +121,19 @@ def family_of(kind: str) -> BoardFamily:
             [ConfigIssue("board.kind", f"{kind!r}: its record has the name {family.name!r}; fix its package")]
         )
     return family
+
+
+def check_pace(config: RigConfig) -> None:
+    """Raise ConfigError if the board's tick has to pace the loop, and cannot."""
+    family = family_of(config.board.kind)
+    if config.loop.pace != "board" or config.loop.rate_hz in family.tick_hz:
+        return
+    if not family.tick_hz:
+        raise ConfigError.of("loop.pace", f"'board': {family.title} has no tick; set it to computer")
+    rates = ", ".join(map(str, family.tick_hz))
+    raise ConfigError.of(
+        "loop.rate_hz", f"{config.loop.rate_hz:g}: the tick of {family.title} has the rates {rates} Hz"
+    )
 
 
 def board_behind(link: Link | Registers, config: RigConfig, now_ns: Callable[[], int]) -> Board:

@@ -19,8 +19,8 @@ from firmware_protocol.rtdac_usb2_bridge import MANUFACTURER
 from inteco_abs.quantities import unit_of
 
 DEFAULT_PROFILE: Final = "sim_usb2"
-MOCK_NAMES: Final = ("ABSSIM", "ABSIM")
-"""Application names of the mock boards on USB, which no real board has."""
+MOCK_NAMES: Final = ("ABSSIM", "ABSIM", "OPENSIM")
+"""Names that the mock boards report, and no real board has."""
 
 Table = dict[str, Any]
 PwmMode = Literal["8-bit", "12-bit"]
@@ -69,8 +69,8 @@ class BoardConfig(Section):
     """The board and how the rig is wired to it. Comes from a profile."""
 
     kind: str = "usb2"
-    """Board family: usb2 for RT-DAC/USB2, usb for RT-DAC/USB of the first generation, pci for RT-DAC4/PCI, or one of an
-    installed package."""
+    """Board family: usb2 for RT-DAC/USB2, usb for RT-DAC/USB of the first generation, pci for RT-DAC4/PCI, open for the
+    open board, or one of an installed package."""
     logic_version: Annotated[int, Interval(ge=0, le=0xFFFF)]
     """Version of the FPGA logic that this wiring was checked with."""
     application_names: list[str] = field(default_factory=list)
@@ -122,6 +122,12 @@ class BoardConfig(Section):
     cuts the motors' power (docs/watchdog.md). -1: there is none."""
     watchdog_contact_pin: Annotated[int, Interval(ge=-1, le=25)] = -1
     """CN1 pin, an input, that is high while the one-shot's contact is closed; a watchdog is used only with it."""
+    watchdog_ms: Annotated[int, Interval(ge=2, le=100)] = 20
+    """Open board: it switches its outputs off by itself when no command has come for this long."""
+    stop_pins: list[Annotated[int, Interval(ge=0, le=15)]] = field(default_factory=list)
+    """Open board: inputs that must be high while outputs are on, such as a second contact of the emergency switch."""
+    baud: Annotated[int, Interval(ge=9600, le=12_000_000)] = 1_000_000
+    """Open board: rate of its serial line, bit/s; a board with USB of its own ignores it."""
     road_encoder: Annotated[int, Interval(ge=0, le=11)] = 0
     """Encoder channel of the lower wheel, which stands for the road."""
     wheel_encoder: Annotated[int, Interval(ge=0, le=11)] = 1
@@ -173,6 +179,8 @@ class EncodersConfig(Section):
 class LoopConfig(Section):
     rate_hz: Annotated[float, Interval(ge=50.0, le=10_000.0)] = 2000.0
     """Rate of the loop: exchanges with the board per second."""
+    pace: Literal["computer", "board"] = "computer"
+    """Whose clock starts the ticks: the computer's, or the board's, on boards that have a tick (the open board)."""
     ring_s: Annotated[float, Interval(ge=0.0, le=3600.0)] = 0.0
     """Length of the shared memory for ticks in real time; 0: the longest that the experiment can take, up to 60 s."""
 

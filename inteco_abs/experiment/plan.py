@@ -11,7 +11,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from inteco_abs.boards import check_address, check_kind, check_limits, simulated
+from inteco_abs.boards import check_address, check_kind, check_limits, check_pace, simulated
 from inteco_abs.config import RigConfig
 from inteco_abs.control import CONTROLLERS, Controller
 from inteco_abs.errors import ConfigError
@@ -64,6 +64,7 @@ def run_checks(config: RigConfig, plan: Plan) -> Iterator[Callable[[], object]]:
     yield partial(check_address, plan.board)
     yield partial(check_kind, plan.board, config)
     yield partial(check_limits, plan.board, config)
+    yield partial(check_pace, config)
     yield partial(_check_time, config, plan)
     if plan.faults:
         yield partial(_check_faults, config, plan)

@@ -95,6 +95,7 @@ class VirtualRun:
         front_end = self._front_end()
         board = board_behind(around(InProcessLink(front_end)), config, self._clock.now_ns)
         plain = not (plan.faults or plan.frames or plan.wire)  # else frames are looked at, or changed
+        plain = plain and config.loop.pace == "computer"  # else the loop's order is another
         self._compile = partial(self._compiled_run, board, front_end) if plain else None
         controller = plan.controllers[config.controller.name]
         spill = spill_path(plan.out, config, self._session_id)
@@ -145,7 +146,8 @@ class VirtualRun:
 
     def _drive(self, writer: FailoverWriter, board: Board, progress: RunProgress | None, screen: Screen) -> None:
         snapshots = SnapshotSource(self._ring.reader(), Histogram(), self._config.loop.rate_hz)
-        loop = Loop(board, self._pipeline, self._clock, self._ring, self._interrupts.stop, self._changes)
+        arguments = board, self._pipeline, self._clock, self._ring, self._interrupts.stop, self._changes
+        loop = Loop(*arguments, paced_by_board=self._config.loop.pace == "board")
         self._window.skip_truths()  # truths from opening the board belong to no tick
         try:
             over = False

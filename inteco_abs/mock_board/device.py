@@ -202,6 +202,8 @@ class Device:
         self._level = 0
         self._opens_ns = -1  # when the one-shot's contact opens; -1 while it is open
         self._hand: _HandTurn | None = None
+        self._due_ns = -1  # when `_act` is due; -1: nothing is
+        self._act: Callable[[], None] = _nothing
 
     @property
     def power_interface(self) -> PowerInterface:
@@ -217,6 +219,7 @@ class Device:
         """Return what is at the terminals while only widths change; None while more happens there, or to the road."""
         wheel, road = self._wheel, self._road
         steady = self._powered and not self._watched and self._hand is None and wheel.free and road.free
+        steady = steady and self._due_ns < 0
         if not steady or self._changes_road or wheel.encoder.readings != road.encoder.readings:
             return None
         drive, brake = (self._full_width(channel) for channel in (self.cable.drive_pwm, self.cable.brake_pwm))
@@ -322,9 +325,29 @@ class Device:
         get = self.settings.get
         return bool(get("timer_mode", 0) >> i & 1 and not get("timer_reset", 0) >> i & 1)
 
+    @property
+    def time_ns(self) -> int:
+        """Time up to which the rig has advanced, ns."""
+        return self._time_ns
+
+    @property
+    def due_ns(self) -> int:
+        """When the board's firmware acts by itself, ns; negative if it does not."""
+        return self._due_ns
+
+    def act_at(self, time_ns: int, act: Callable[[], None] | None) -> None:
+        """Call `act` once when the rig comes to `time_ns`, instead of an earlier one; None: nothing."""
+        self._due_ns, self._act = (-1, _nothing) if act is None else (time_ns, act)
+
     def catch_up(self) -> None:
         """Advance the rig to the present."""
         now = self._now_ns()
+        while 0 <= self._due_ns <= now:
+            due, act = max(self._due_ns, self._time_ns), self._act
+            self._due_ns = -1
+            with self._stopped_at(due):
+                self.catch_up()
+                act()
         if self._time_ns < self._opens_ns < now:
             self._advance(self._opens_ns)
         if 0 <= self._opens_ns < now and self._contact_opens():
@@ -414,6 +437,10 @@ class Device:
         reset = self.settings.get("encoder_reset", 0)
         self._road.hold(bool(reset >> self.cable.road_encoder & 1), self.plant.road_angle)
         self._wheel.hold(bool(reset >> self.cable.wheel_encoder & 1), self.plant.wheel_angle)
+
+
+def _nothing() -> None:
+    """Do nothing."""
 
 
 def _seen_from(sign: int, edge: float) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from inteco_abs.boards import BoardProtocol, family_of
 from inteco_abs.config import BoardConfig
@@ -16,6 +16,10 @@ if TYPE_CHECKING:
 
 Connected = Callable[[Mapping[str, int], int], bool]
 """Whether a PWM channel is connected to its pin, from the settings and the channel number."""
+
+
+_LONGEST_REQUEST: Final = 4
+"""Bytes; a longer message is a command."""
 
 
 def always_connected(_settings: Mapping[str, int], _channel: int) -> bool:
@@ -32,6 +36,8 @@ class MockFamily:
     reported: Callable[[Device, BoardProtocol | None, bytes], FrontEnd]
     """Makes the front end of a reported board, from an image in its protocol. Raises ValueError for an invalid one."""
     connected: Callable[[BoardConfig], Connected] = lambda _wiring: always_connected
+    is_command: Callable[[bytes | bytearray], bool] = lambda message: len(message) > _LONGEST_REQUEST
+    """Whether a message of the host changes something, rather than asks."""
     identity_offset: int | None = None
     """Byte of an answer that identifies the board; None if there is none."""
     has_alarms: bool = False

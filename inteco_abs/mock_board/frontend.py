@@ -33,7 +33,7 @@ class Stream(Protocol):
     front_end: FrontEnd
 
     def feed(self, data: bytes | bytearray) -> bytes:
-        """Receive bytes from the host; return the board's answer."""
+        """Receive bytes from the host, or none; return what the board sends."""
         ...
 
 

@@ -1,4 +1,4 @@
-"""The mock RT-DAC/USB at a pseudo-terminal, which needs no root, kernel module or USB bus."""
+"""A mock board at a pseudo-terminal, which needs no root, kernel module or USB bus."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from inteco_abs.mock_board.frontend import Stream
 from inteco_abs.posix import require_posix, tty
 
 _CHUNK: Final = 4096
-_CATCH_UP_MS: Final = 1
-"""Interval at which the rig advances while a host is active."""
-_IDLE_MS: Final = 10
+_CATCH_UP_S: Final = 0.001
+"""Longest interval at which the rig advances while a host is active."""
+_IDLE_S: Final = 0.01
 _BUSY_S: Final = 1.0
 _TERMINALS: Final = "/dev/pts/"
 
@@ -48,8 +48,6 @@ class PtyServer:
             except BoardError:
                 self.hang_up()
                 raise
-        self._poll = select.poll()
-        self._poll.register(self._board, select.POLLIN)
 
     def serve(self, each_step: Callable[[], None] = lambda: None) -> None:
         """Serve until `close` or an exception; then remove the port, which for its host is an unplug.
@@ -69,11 +67,15 @@ class PtyServer:
 
     def step(self) -> None:
         """Serve once, after a short wait."""
-        now = time.monotonic()
-        if self._poll.poll(_CATCH_UP_MS if now < self._busy_until_s else _IDLE_MS):
+        now, device = time.monotonic(), self._stream.front_end.device
+        wait_s = _CATCH_UP_S if now < self._busy_until_s else _IDLE_S
+        if device.due_ns >= 0:
+            wait_s = min(wait_s, max(0.0, device.due_ns * 1e-9 - now))
+        if select.select([self._board], [], [], wait_s)[0]:
             self._busy_until_s = now + _BUSY_S
             self._answer(self._stream.feed(os.read(self._board, _CHUNK)))
-        self._stream.front_end.device.catch_up()
+        device.catch_up()
+        self._answer(self._stream.feed(b""))  # what the board sends by itself
 
     def _answer(self, answer: bytes) -> None:
         sent = 0

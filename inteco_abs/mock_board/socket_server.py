@@ -13,7 +13,8 @@ from inteco_abs.mock_board.frontend import FrontEnd
 
 _LARGEST: Final = 4096
 _CATCH_UP_S: Final = 0.0001
-"""Interval at which the rig advances between two exchanges, so that an exchange has little left to compute."""
+"""Interval at which the rig advances between two exchanges, so that an exchange has little left to compute, and at
+which the board's own messages are sent."""
 _IDLE_S: Final = 0.01
 
 
@@ -46,6 +47,8 @@ class SocketServer:
             self._accept()
         if not ready:
             catch_up()
+            if self._host is not None:
+                self._send_waiting(self._host)
 
     def close(self) -> None:
         """Disconnect the host and stop listening."""
@@ -69,6 +72,9 @@ class SocketServer:
 
     def _answer(self, host: socket.socket, data: bytes) -> None:
         self._front_end.bulk_out(data)
+        self._send_waiting(host)
+
+    def _send_waiting(self, host: socket.socket) -> None:
         while answer := self._front_end.bulk_in(_LARGEST):
             try:
                 host.send(answer, socket.MSG_DONTWAIT)

@@ -83,6 +83,21 @@ class VirtualClock:
             yield Beat(deadline, skipped)
 
 
+class AwaitedClock:
+    """A clock in real time whose beats do not wait: the board's tick paces the loop, which waits for its reports."""
+
+    spin_ns: Final = 0
+
+    def now_ns(self) -> int:
+        """Return the system's monotonic clock, ns."""
+        return time.monotonic_ns()
+
+    def __iter__(self) -> Iterator[Beat]:
+        """Yield beats at once."""
+        while True:
+            yield Beat(time.monotonic_ns(), 0)
+
+
 class PacedClock:
     """A clock in real time, with beats at multiples of the period; periods that have passed are skipped.
 

@@ -49,7 +49,8 @@ class Loop:
     """One experiment on an entered board, until the pipeline has finished.
 
     A tick writes the command of the tick before, reads the board, decides, records: one period of delay, always.
-    `changes` may change gains just before it decides.
+    `changes` may change gains just before it decides. With `paced_by_board` the board's tick starts it: a tick takes
+    the board's report, decides, and answers; what it decides acts from the board's next tick on, the same delay.
     """
 
     def __init__(
@@ -60,6 +61,8 @@ class Loop:
         ring: TickRing,
         stop: StopSource,
         changes: GainChanges | None = None,
+        *,
+        paced_by_board: bool = False,
     ) -> None:
         self.skipped = 0
         """Periods without a tick so far."""
@@ -71,6 +74,9 @@ class Loop:
         self._stop = stop
         self._changes = changes
         self._busy_us = 0.0
+        self._ticks = self._run_paced if paced_by_board else self._run
+        self._answer_us = 0.0
+        self._pacing = False
 
     def run(self, most: int | None = None) -> bool:
         """Run up to `most` ticks (None: to the end); True once the experiment is over.
@@ -81,7 +87,7 @@ class Loop:
         gc.disable()
         self._board.armed = True
         try:
-            return self._run(most)
+            return self._ticks(most)
         finally:
             self._board.armed = False
             if collecting:
@@ -107,6 +113,30 @@ class Loop:
             if pipeline.finished:
                 return True
         self._busy_us = busy_us
+        return False
+
+    def _run_paced(self, most: int | None) -> bool:
+        board, pipeline, now, wanted = self._board, self._pipeline, self._clock.now_ns, self._stop.wanted
+        change = None if self._changes is None or self._changes.over else self._changes.before
+        if not self._pacing:
+            board.start_pacing()
+            self._pacing = True
+        for _ in islice(self._beats, most):  # in virtual time the period passes here, else within `report`
+            sample = board.report()
+            read = now()
+            if change is not None:
+                change(sample)
+            timing = Timing(board.late_ns * 1e-3, self._answer_us, self._busy_us, board.skipped)
+            tick = pipeline.step(sample, wanted(read), timing)
+            decided = now()
+            board.answer(pipeline.command)
+            answered = now()
+            self._answer_us = (answered - decided) * 1e-3
+            self._ring.append(tick)
+            self.skipped += board.skipped
+            self._busy_us = (now() - answered + decided - read) * 1e-3
+            if pipeline.finished:
+                return True
         return False
 
 

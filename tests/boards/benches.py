@@ -227,6 +227,8 @@ class FrameBench:
     """Before SAFE is read back."""
     untrusted: ClassVar[dict[str, tuple[list[str], tuple[str, ...]]]]
     """Settings with which the board must not be driven, and words of the reason."""
+    dates_samples = False
+    """Whether the board's clock dates the samples."""
     header_bytes = 8
     """Length of an answer's header, with which a safe image begins."""
     echoes: ClassVar[tuple[int, int]]
@@ -379,6 +381,7 @@ class ClockedBench(Usb2Bench):
     """An RT-DAC/USB2 with a clock, and with no PWM channel to spare for numbers."""
 
     wiring = ("board.numbering_pwm=-1", "board.timer=0")
+    dates_samples = True
     sends_of_safe = 2  # the first holds the timer at zero
 
     def unnumbered(self, settings: dict[str, int]) -> dict[str, int]:

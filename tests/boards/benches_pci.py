@@ -118,6 +118,7 @@ class PciBench:
     channels = 2
     messages_of_safe = 2
     sends_of_safe = 1
+    dates_samples = False
     both_on: ClassVar = {"pwm0_width": 255, "pwm1_width": 255}
     untrusted: ClassVar = {
         "another logic version": (["board.logic_version=0x0510"], ("0x050F", "0x0510")),

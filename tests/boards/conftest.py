@@ -13,6 +13,7 @@ from benches import (
     Usb0112Bench,
     Usb2Bench,
 )
+from benches_open import OpenBench
 from benches_pci import PciBench, StepwisePciBench, SysfsBench
 
 from firmware_protocol.rtdac_usb2 import FRAME_BYTES, READ_REQUEST, SEND_COMMAND, encode_send
@@ -29,6 +30,7 @@ BENCHES = {
     "rtdac-usb over a pty": PtyBench,
     "rtdac4-pci": PciBench,
     "rtdac4-pci by sysfs": SysfsBench,
+    "open board": OpenBench,
 }
 
 ONLY_LINKS = {SocketBench, PtyBench, SysfsBench}

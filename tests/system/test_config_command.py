@@ -149,7 +149,7 @@ def test_the_schema_has_every_section(said):
         ("run --set guard.brake", ["guard.brake_limit"]),
         ("run --rig har", ["hard:0"]),
         ("run --inject brake-w", ["brake-weak="]),
-        ("config explain loop.", ["loop.rate_hz", "loop.ring_s"]),
+        ("config explain loop.", ["loop.rate_hz", "loop.pace", "loop.ring_s"]),
         ("val", ["validate"]),
     ],
 )

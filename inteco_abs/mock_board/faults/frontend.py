@@ -14,8 +14,6 @@ from inteco_abs.mock_board.faults.fault import Fault
 from inteco_abs.mock_board.faults.schedule import Schedule
 from inteco_abs.mock_board.frontend import FrontEnd
 
-_LONGEST_REQUEST: Final = 4
-"""Bytes; a longer message is a command."""
 _MOST_BYTES: Final = 4096
 _PWM_BITS: Final = 16
 
@@ -43,7 +41,9 @@ class FaultyFrontEnd:
         self._make_front_end = make_front_end
         self._front_end = make_front_end(device)
         self._wait, self._pause, self._on_exchange = wait, pause, on_exchange
-        self._identity_offset = mock_family(device.kind).identity_offset or 0
+        family = mock_family(device.kind)
+        self._identity_offset = family.identity_offset or 0
+        self._is_command = family.is_command
         self._answered = True
         self._commanded = False
         """Whether the current exchange has an answer, and whether it has a command."""
@@ -63,7 +63,7 @@ class FaultyFrontEnd:
 
     def bulk_out(self, data: bytes | bytearray) -> None:
         """Receive a message from the host, unless a fault loses it."""
-        command = len(data) > _LONGEST_REQUEST
+        command = self._is_command(data)
         if self._answered or (command and self._commanded):
             self._begin()
         self._commanded = self._commanded or command
@@ -72,18 +72,24 @@ class FaultyFrontEnd:
         if command and (fault := self._schedule.acting("corrupt-command")):
             data = self._flipped(data, fault)
         self._front_end.bulk_out(data)
-        answer = self._front_end.bulk_in(_MOST_BYTES)
+        self._take_answers()
         if command:
             self._repeat_strongest(bytes(data))
         self.rejected = self._front_end.rejected
-        if answer:
-            self._answered = True
-            sent, self._previous = self._damaged(answer), answer
-            self._send(sent)
 
     def bulk_in(self, length: int) -> bytes:
         """Return the next answer that arrives; empty if there is none."""
-        return self._sent.popleft()[:length] if self._reachable() and self._sent else b""
+        if not self._reachable():
+            return b""
+        if not self._sent:
+            self._take_answers()  # of a board that sends by itself
+        return self._sent.popleft()[:length] if self._sent else b""
+
+    def _take_answers(self) -> None:
+        while answer := self._front_end.bulk_in(_MOST_BYTES):
+            self._answered = True
+            sent, self._previous = self._damaged(answer), answer
+            self._send(sent)
 
     def _begin(self) -> None:
         schedule = self._schedule

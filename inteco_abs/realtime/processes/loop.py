@@ -16,7 +16,7 @@ from inteco_abs.errors import AbsError
 from inteco_abs.format import pack_tick
 from inteco_abs.posix import resource
 from inteco_abs.quantities import quantities
-from inteco_abs.realtime.clock import PacedClock
+from inteco_abs.realtime.clock import AwaitedClock, PacedClock
 from inteco_abs.realtime.failure_rules import LOOPS_WINDOW_NS
 from inteco_abs.realtime.frame_spool import saving_frames
 from inteco_abs.realtime.gain_changes import ChangeTable, GainChanges
@@ -114,12 +114,13 @@ def _hold(memory: RunMemory, job: Job, around: Wrap, controllers: Mapping[str, t
     table = ChangeTable(memory, (gain.name for gain in controller.gains))
     gains = gains_to_change(pipeline, config, controllers)
     changes = GainChanges(config, pipeline, gains, table.record, table)
-    clock = PacedClock(config.period_ns)
+    by_board = config.loop.pace == "board"
+    clock = AwaitedClock() if by_board else PacedClock(config.period_ns)
     cost: dict[str, str] = {}
     with holding(memory), open_board(job.address, config, clock.now_ns, around) as board:
         identity = board.require_writable()
         memory.post(Mailbox.SAFE_IMAGE, board.safe_image)
-        loop = Loop(board, pipeline, clock, ring, SharedStop(memory), changes)
+        loop = Loop(board, pipeline, clock, ring, SharedStop(memory), changes, paced_by_board=by_board)
         settings = apply(loop_tuning())
         pace = {} if simulated(job.board) else require_rate(board, config.period_ns)
         watchdog = prove_watchdog(board, config.period_ns, time.sleep)
@@ -141,7 +142,7 @@ def _hold(memory: RunMemory, job: Job, around: Wrap, controllers: Mapping[str, t
         memory.post(Mailbox.RUN_END, end)
 
 
-def _drive(loop: Loop, clock: PacedClock) -> dict[str, str]:
+def _drive(loop: Loop, clock: AwaitedClock | PacedClock) -> dict[str, str]:
     """Run the loop; return what it cost this process."""
     before, start = resource.getrusage(resource.RUSAGE_SELF), time.monotonic()
     loop.run()
