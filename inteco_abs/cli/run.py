@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator
+from contextlib import AbstractContextManager, nullcontext
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -22,6 +23,7 @@ from inteco_abs.errors import AbsError, ConfigError
 if TYPE_CHECKING:
     from inteco_abs.config import RigConfig
     from inteco_abs.experiment import Plan
+    from inteco_abs.realtime import Screen
     from inteco_abs.sessions import RunResult
 
 
@@ -38,6 +40,12 @@ if TYPE_CHECKING:
     help="Also keep the board's messages in the session, for `inteco-abs wire`: at most 300000 (50 s at 2 kHz), which "
     "take 2 MB/s of memory and 0.2 MB/s of the file.",
 )
+@click.option(
+    "--stdio",
+    is_flag=True,
+    help="For programs: write the run as JSON lines to standard output while it lasts; obey lines of standard input: "
+    "stop, or NAME=VALUE for a gain. Its end stops the run.",
+)
 @dry_run_option
 @json_option
 def run(
@@ -46,10 +54,12 @@ def run(
     figure: Path | None,
     wire: Path | None,
     frames: bool,
+    stdio: bool,
     dry_run: bool,
     as_json: bool,
 ) -> int:
     """Brake once and record the session."""
+    as_json = as_json or stdio
     places = list(_places(out, figure, wire))
     session = out or Path("sessions") / f"stop-{datetime.now().astimezone():%Y%m%d-%H%M%S-%f}.mcap"
     try:
@@ -62,11 +72,12 @@ def run(
         return check_start([Planned(rig, plan)], [*_folder(out, plan), *places], as_json=as_json)
     for condition in places:
         condition()
-    stop = brake(rig, plan, options)
+    stop = brake(rig, plan, options, stdio=stdio)
     try:
         if as_json:
             problem = checked_replay(rig, plan, stop)
-            print_json(stop.card | ({"replay_problem": problem} if problem else {}))
+            card = stop.card | ({"replay_problem": problem} if problem else {})
+            print_json({"card": card} if stdio else card)
         elif not options.quiet:
             from inteco_abs.analysis import previous_card
 
@@ -91,19 +102,25 @@ def checked_replay(rig: RigConfig, plan: Plan, stop: RunResult) -> str:
         return f"interrupted while checking whether the decisions replay; {stop.card['session']} is complete"
 
 
-def brake(rig: RigConfig, plan: Plan, options: RunOptions) -> RunResult:
-    """Run one stop with a screen."""
+def brake(rig: RigConfig, plan: Plan, options: RunOptions, *, stdio: bool = False) -> RunResult:
+    """Run one stop with a screen, or for the program that started this one."""
     from inteco_abs.experiment import run_stop
     from inteco_abs.sessions import ensured_directory
 
     if not plan.virtual:
         _report_left_rings()
     tuner = None
-    if options.tune:
+    if options.tune or (stdio and not plan.virtual):
         from inteco_abs.realtime import Tuner
 
         tuner = Tuner()
-    screen = screen_of(rig, options.live, virtual=plan.virtual, quiet=options.quiet, tuner=tuner)
+    screen: AbstractContextManager[Screen]
+    if stdio:
+        from inteco_abs.views.json_lines import JsonLines
+
+        screen = nullcontext(JsonLines(sys.stdout, 0, tuner))
+    else:
+        screen = screen_of(rig, options.live, virtual=plan.virtual, quiet=options.quiet, tuner=tuner)
     with ensured_directory(plan.out.parent), screen as shown:
         return run_stop(rig, plan, screen=shown, tuner=tuner)
 

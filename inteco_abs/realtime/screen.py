@@ -36,6 +36,10 @@ class Point(NamedTuple):
     phase: int
     slip_reference: float = math.nan
     """Slip to hold; NaN unless the phase is braking."""
+    torque_demand_nm: float = 0.0
+    """Brake torque that the law asks for."""
+    drive: float = 0.0
+    brake: float = 0.0
 
 
 class Snapshot(NamedTuple):
@@ -60,6 +64,9 @@ class Snapshot(NamedTuple):
 class Screen(Protocol):
     """Shows a run to the user, in the process that the user started, never in the loop's."""
 
+    period_s: float
+    """Time between two states that it shows."""
+
     def listening(self, stop: Callable[[], None]) -> AbstractContextManager[None]:
         """Return a context in which the user's keys may call `stop`."""
         ...
@@ -69,7 +76,7 @@ class Screen(Protocol):
         ...
 
     def show(self, snapshot: Snapshot) -> None:
-        """Show the state; called ten times a second."""
+        """Show the state; called every `period_s`."""
         ...
 
     def note(self, text: str) -> None:
@@ -86,6 +93,7 @@ class SafeScreen:
 
     def __init__(self, screen: Screen) -> None:
         self._screen = screen
+        self.period_s = screen.period_s
 
     def listening(self, stop: Callable[[], None]) -> AbstractContextManager[None]:
         """Return the screen's own context."""
@@ -121,6 +129,8 @@ class SafeScreen:
 
 class NoScreen:
     """A screen that shows nothing."""
+
+    period_s = 0.1
 
     def listening(self, stop: Callable[[], None]) -> AbstractContextManager[None]:  # noqa: ARG002  there are no keys
         """Return an empty context."""

@@ -66,6 +66,8 @@ class Dashboard:
     With `playback`, it shows a session that `rewind` and `describe` control; with a `tuner`, keys change gains.
     """
 
+    period_s = 0.1
+
     def __init__(
         self,
         console: Console,

@@ -33,7 +33,6 @@ from inteco_abs.sessions import EXIT_CODES, LOSSES, RunResult, spill_path
 from inteco_abs.signals import EXPLANATIONS, Reason
 
 _POLL_S: Final = 0.01
-_SCREEN_S: Final = 0.1
 _START_S: Final = 60.0
 _WATCHES_S: Final = 15.0
 _DRILL_S: Final = 8.0
@@ -256,7 +255,7 @@ class Supervisor:
             alarm.look()
             disk.look(screen)
             self._kill_overdue_loop()
-            if time.monotonic() - shown >= _SCREEN_S:
+            if time.monotonic() - shown >= screen.period_s:
                 self._show(screen)
                 shown = time.monotonic()
             time.sleep(_POLL_S)
