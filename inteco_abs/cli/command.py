@@ -14,7 +14,7 @@ from inteco_abs.cli.terminal import say
 from inteco_abs.errors import AbsError
 
 _VERBS: Final = {
-    "Run": ("run", "repeat", "demo"),
+    "Run": ("run", "repeat", "serve", "demo"),
     "Sessions": (
         "list", "info", "play", "annotate", "report", "figure", "video", "diff", "replay", "what-if", "golden",
         "export", "dataset", "publish", "extract", "viewer-layout", "validate", "recover",

@@ -47,6 +47,7 @@ from inteco_abs.control.gain_changes import (
     changes_not_made,
     keeps_gain,
     planned_changes,
+    reference_gain,
     set_gain,
     value_problem,
 )
@@ -122,6 +123,7 @@ __all__ = [
     "reaching_law_torque",
     "reaching_time_bound",
     "reference_function",
+    "reference_gain",
     "set_gain",
     "slip_terms",
     "swing_band",

@@ -1,4 +1,4 @@
-"""A real Chromium without a network, for pages that are opened from files."""
+"""A real Chromium without a network, for pages that are opened from files or served on this computer."""
 
 import os
 import shutil
@@ -18,7 +18,7 @@ FLAGS = (
     "--disable-component-update",
     "--disable-sync",
     "--force-color-profile=srgb",
-    "--host-resolver-rules=MAP * ~NOTFOUND",
+    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
 )
 
 
