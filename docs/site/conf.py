@@ -19,6 +19,7 @@ CONTENTS = {
         "docs/sessions.md", "docs/interfaces.md", "docs/boards.md", "docs/real-time.md", "docs/hazards.md",
         "docs/watchdog.md", "docs/open-board.md", "docs/parity.md",
     ],
+    "Course": ["docs/course/*.md"],
     "Reference": ["docs/reference.md", "docs/api/*.md", "firmware_protocol/PROTOCOL.md"],
     "Contribute": [
         "CONTRIBUTING.md", "docs/architecture.md", "docs/how-to/*.md", "docs/decisions/*.md", "docs/facts/*.md",

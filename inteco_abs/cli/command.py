@@ -20,6 +20,7 @@ _VERBS: Final = {
         "export", "dataset", "publish", "extract", "viewer-layout", "validate", "recover",
     ),
     "Compare and design": ("controllers", "estimators", "sweep", "benchmark", "design", "identify", "paper", "fmu"),
+    "Course": ("grade",),
     "Boards and commissioning": ("commission", "panel", "identify-led", "mock-board", "faults", "wire"),
     "Setup": ("doctor", "config", "profiles", "completion"),
 }  # fmt: skip
