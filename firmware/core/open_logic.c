@@ -145,8 +145,10 @@ static bool stop_input_low(void)
     return (~hal_pins() & open.stop_pins) != 0u;
 }
 
+/* Ends the tick of an arming, and its numbers. */
 static void stop_tick(void)
 {
+    open.report = 0u;
     if (open.ticking) {
         open.ticking = false;
         hal_set_tick(POLLED_TICK_US);
@@ -160,7 +162,7 @@ static void trip(uint8_t reason)
     open_logic_draw_challenge();
 }
 
-static void apply(const uint16_t width[HAL_PWMS], uint8_t sequence)
+static void apply(const uint16_t width[HAL_PWMS])
 {
     struct pwm pwm[HAL_PWMS];
     for (unsigned i = 0u; i < HAL_PWMS; i++) {
@@ -169,7 +171,6 @@ static void apply(const uint16_t width[HAL_PWMS], uint8_t sequence)
         pwm[i].twelve_bits = open.pwm_mode != 0u;
     }
     outputs_apply(pwm);
-    open.applied = sequence;
 }
 
 /* Frames from the host. */
@@ -191,6 +192,7 @@ static void configure(void)
     const uint16_t watchdog_ms = received(open_configure_watchdog_ms);
     const uint16_t tick_hz = received(open_configure_tick_hz);
     const uint16_t pwm_mode = received(open_configure_pwm_mode);
+    const uint16_t off[HAL_PWMS] = {0u, 0u};
     if (open.state >= OPEN_STATE_ARMED) {
         refuse(OPEN_REFUSED_STATE);
     } else if (!watchdog_and_tick_fit(watchdog_ms, tick_hz) || (pwm_mode >= OPEN_MODES)) {
@@ -205,6 +207,7 @@ static void configure(void)
         open.pwm_prescaler = received(open_configure_pwm_prescaler);
         open.state = OPEN_STATE_CONFIGURED;
         rtdac_usb_reset();
+        apply(off);
         send_status();
     }
 }
@@ -260,7 +263,8 @@ static void command(void)
             open.width[1] = width[1];
             open.sequence = sequence;
         } else {
-            apply(width, sequence);
+            apply(width);
+            open.applied = sequence;
         }
     }
     if (!open.ticking) {
@@ -417,7 +421,8 @@ static void take_command(void)
 {
     if (open.pending) {
         open.pending = false;
-        apply(open.width, open.sequence);
+        apply(open.width);
+        open.applied = open.sequence;
     } else if (open.report != 0u) {
         open.late++;
     } else {

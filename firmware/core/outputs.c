@@ -13,7 +13,6 @@ void outputs_reset(void)
     outputs_off();
     outputs.reason = 0u;
     outputs.trips = 0u;
-    outputs_feed(0u);
 }
 
 void outputs_apply(const struct pwm pwm[HAL_PWMS])

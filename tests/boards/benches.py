@@ -233,6 +233,7 @@ class FrameBench:
     """Length of an answer's header, with which a safe image begins."""
     echoes: ClassVar[tuple[int, int]]
     """Bytes of the answer that repeat the widths of drive and brake."""
+    front_end_of = staticmethod(front_end_of)
 
     def __init__(self, *settings: str, earlier: dict[str, int] | None = None, seed: int = 0) -> None:
         own = configured(self.profile, self.wiring).board
@@ -240,7 +241,7 @@ class FrameBench:
         self.clock = HandClock()
         board = replace(self.config.board, logic_version=own.logic_version)
         self.device = SteeredDevice(replace(self.config, board=board), self.clock.now_ns, seed)
-        front_end = front_end_of(self.device)
+        front_end = self.front_end_of(self.device)
         if earlier is not None:
             front_end.bulk_out(self.encode(earlier))
         self.front_end = FaultyAnswers(front_end, self.request)
@@ -347,7 +348,7 @@ class FrameBench:
         self.front_end.deaf = True
 
 
-def _untrusted(
+def untrusted_profiles(
     identity: tuple[int, str, str], another_logic: tuple[str, ...]
 ) -> dict[str, tuple[list[str], tuple[str, ...]]]:
     version, name, _ = identity
@@ -368,7 +369,7 @@ class Usb2Bench(FrameBench):
     profile, real_profile = "sim_usb2", "usb2_generic_0103"
     identity = (0x0103, "ABSSIM", "20260101")
     header_bytes = 18
-    untrusted = _untrusted(identity, ("board.logic_version=0x0111",))
+    untrusted = untrusted_profiles(identity, ("board.logic_version=0x0111",))
     channels = 8
     both_on: ClassVar = {"pin_mode": 1 << 2 | 1 << 5, "pin_direction": 0, "pwm0_width": 255, "pwm1_width": 255}
     request = rtdac_usb2.READ_REQUEST
@@ -394,7 +395,7 @@ class Usb0111Bench(FrameBench):
 
     profile, real_profile = "sim_usb", "usb1_0111"
     identity = (0x0111, "ABSIM", "")
-    untrusted = _untrusted(identity, ("board.logic_version=0x0112", "board.numbering_pwm=-1"))
+    untrusted = untrusted_profiles(identity, ("board.logic_version=0x0112", "board.numbering_pwm=-1"))
     channels = 4
     both_on: ClassVar = {"pin_mode": 0b11, "pwm0_width": 255, "pwm1_width": 255}
     request = rtdac_usb.READ_REQUEST
@@ -409,7 +410,7 @@ class Usb0112Bench(Usb0111Bench):
     real_profile = "usb1_0112"
     wiring = ("board.logic_version=0x0112", "board.verified_logic=0x0112", "board.numbering_pwm=-1")
     identity = (0x0112, "ABSIM", "")
-    untrusted = _untrusted(identity, ("board.logic_version=0x0111",))
+    untrusted = untrusted_profiles(identity, ("board.logic_version=0x0111",))
     channels = 2
     encode = staticmethod(partial(rtdac_usb.encode_send, logic=0x0112))
     decode = staticmethod(partial(rtdac_usb.decode_send, logic=0x0112))

@@ -5,7 +5,7 @@ from typing import ClassVar
 from benches import FaultyLink, FrameBench, HandClock, SteeredDevice, configured
 
 from firmware_protocol.open_board import COMMAND, DISARM, HELLO, IDENTITY, QUERY, REPORT, STATUS, decode
-from inteco_abs.boards import InProcessLink, board_behind
+from inteco_abs.boards import InProcessLink, Link, board_behind
 from inteco_abs.mock_board import front_end_of
 
 QUESTIONS = {HELLO.kind, QUERY.kind}
@@ -53,6 +53,17 @@ class FrameLink(FaultyLink):
         return answer if answer[1] == STATUS.kind and answer[3] in self._disarms else super()._altered(answer)
 
 
+def untrusted_profiles(identity: tuple[int, str, str]) -> dict[str, tuple[list[str], tuple[str, ...]]]:
+    """Settings with which the board must not be driven, and words of the reason."""
+    _, name, _ = identity
+    return {
+        "another logic version": (["board.logic_version=0x0B02"], ("0x0B01", "was made for 0x0B02")),
+        "another application name": (['board.application_names=["OPENABS"]'], (name, "OPENABS")),
+        "no application name known": (["board.application_names=[]"], (name, "none")),
+        "an unsigned profile": (['board.verified_by=""'], ("verified_by",)),
+    }
+
+
 class OpenBench:
     """An open board."""
 
@@ -63,13 +74,9 @@ class OpenBench:
     messages_of_safe = 1
     sends_of_safe = 1
     dates_samples = True
+    front_end_of = staticmethod(front_end_of)
     both_on: ClassVar = {"pwm0_width": 255, "pwm1_width": 255}
-    untrusted: ClassVar = {
-        "another logic version": (["board.logic_version=0x0B02"], ("0x0B01", "was made for 0x0B02")),
-        "another application name": (['board.application_names=["OPENABS"]'], ("OPENSIM", "OPENABS")),
-        "no application name known": (["board.application_names=[]"], ("OPENSIM", "none")),
-        "an unsigned profile": (['board.verified_by=""'], ("verified_by",)),
-    }
+    untrusted: ClassVar = untrusted_profiles(identity)
 
     def __init__(self, *settings: str, earlier: dict[str, int] | None = None, seed: int = 0) -> None:
         self.config = configured(self.profile, settings)
@@ -77,15 +84,23 @@ class OpenBench:
         own = configured(self.profile, ())
         self.device = SteeredDevice(own, self.clock.now_ns, seed)
         self.device.logic_version = own.board.logic_version
-        self.front_end = DeafFrames(front_end_of(self.device))
+        front_end = self.front_end_of(self.device)
+        self.front_end = DeafFrames(front_end)
         known = {"pwm0_width", "pwm1_width", "encoder_reset"}
-        self.device.write({name: value for name, value in (earlier or {}).items() if name in known})
+        self.leave(front_end, {name: value for name, value in (earlier or {}).items() if name in known})
         self.plug_in()
+
+    def leave(self, _front_end, settings: dict[str, int]) -> None:
+        """Leave the board as an earlier program did."""
+        self.device.write(settings)
 
     def plug_in(self) -> None:
         """Connect a new host, with a new link and board object; the device stays."""
-        self.link = FrameLink(InProcessLink(self.front_end))
+        self.link = FrameLink(self._connect())
         self.board = board_behind(self.link, self.config, self.clock.now_ns)
+
+    def _connect(self) -> Link:
+        return InProcessLink(self.front_end)
 
     @property
     def acts(self) -> list[str]:

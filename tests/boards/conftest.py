@@ -13,6 +13,7 @@ from benches import (
     Usb0112Bench,
     Usb2Bench,
 )
+from benches_firmware import FirmwareOpenBench, FirmwareUsbBench
 from benches_open import OpenBench
 from benches_pci import PciBench, StepwisePciBench, SysfsBench
 
@@ -31,10 +32,13 @@ BENCHES = {
     "rtdac4-pci": PciBench,
     "rtdac4-pci by sysfs": SysfsBench,
     "open board": OpenBench,
+    "firmware of the open board": FirmwareOpenBench,
+    "firmware of the open board, 0x0111": FirmwareUsbBench,
 }
 
-ONLY_LINKS = {SocketBench, PtyBench, SysfsBench}
-"""Another of the benches has the same board at the end of another link: what it shows of the board, these repeat."""
+ONLY_LINKS = {SocketBench, PtyBench, SysfsBench, FirmwareOpenBench, FirmwareUsbBench}
+"""Another of the benches has the same board at the end of another link, or the mock of this one: what it shows of the
+board, these repeat."""
 OVER_A_LINK = {f"test_contract_{part}" for part in ("exchange", "leaving", "opening", "rescue")}
 
 
@@ -58,6 +62,7 @@ def new_bench(request):
         SysfsBench.close_all_but(0)
     SocketBench.close_all_but(0)
     PtyBench.close_all_but(0)
+    FirmwareOpenBench.close_all_but(0)
 
 
 @pytest.fixture(scope="session")

@@ -8,6 +8,8 @@ import subprocess
 from functools import cache
 from pathlib import Path
 
+from emulated import require
+
 FIRMWARE = Path(__file__).parents[2] / "firmware"
 NUMBER = ctypes.c_uint
 _ROOM = 1 << 16
@@ -16,6 +18,7 @@ _ROOM = 1 << 16
 @cache
 def built(target):
     """Path of what `make` builds; one worker of the tests at a time."""
+    require("cc", "make")
     with (FIRMWARE / "Makefile").open() as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         done = subprocess.run(["make", "-C", str(FIRMWARE), target], capture_output=True, text=True, check=False)

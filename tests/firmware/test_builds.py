@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from emulated import require
 from host_board import FIRMWARE, built
 
 RUN = partial(subprocess.run, capture_output=True, text=True, check=False, timeout=600)
@@ -57,7 +58,7 @@ def test_the_tests_take_every_branch_of_the_core_both_ways():
 
 
 @pytest.mark.long
-def test_static_analysis(needed):
-    needed(cppcheck="cppcheck")
+def test_static_analysis():
+    require("cc", "make", "cppcheck")
     done = RUN(["make", "-C", str(FIRMWARE), "check"])
     assert done.returncode == 0, done.stdout + done.stderr

@@ -107,7 +107,8 @@ class TestConfigure:
         assert host.status()["count0"] == 5
 
     def test_it_moves_nothing_and_sends_no_reports(self, host, board):
-        host.configure(tick_hz=4000)
+        host.configure(tick_hz=4000, pwm_mode=1, pwm_prescaler=44)
+        assert board.pwm == ((0, 1, 44), (0, 1, 44))
         assert host.reports(5000) == []
         assert board.tick_us == 1000
 

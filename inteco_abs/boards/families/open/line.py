@@ -11,7 +11,7 @@ from typing import Final
 from serial.tools import list_ports
 
 from firmware_protocol.open_board import HELLO, IDENTITY, Receiver
-from inteco_abs.boards.transports.serial_link import SerialLink
+from inteco_abs.boards.transports.serial_link import TIMEOUT_S, SerialLink
 from inteco_abs.errors import BoardError, LinkError, NoAnswerError
 
 _FTDI: Final = 0x0403
@@ -28,10 +28,10 @@ class FramedLine(SerialLink):
 
     keeps_boundaries = True
 
-    def __init__(self, path: str, baud: int) -> None:
+    def __init__(self, path: str, baud: int, timeout_s: float = TIMEOUT_S) -> None:
         self._receiver = Receiver(from_host=False)
         self._arrived: deque[bytes] = deque()
-        super().__init__(path)
+        super().__init__(path, timeout_s)
         with suppress(OSError, ValueError):  # not every port has every rate; the board then does not answer
             self._port.baudrate = baud
 
