@@ -264,7 +264,7 @@ REPORT: Final = _message(
     "REPORT",
     0x84,
     "the sample of a tick, or the answer to a COMMAND without one",
-    ("tick", "u32", "1", "number of the report since ARM; the first is 0"),
+    ("tick", "u32", "1", "number of the report since ARM, DISARM or CLEAR; the first is 0"),
     ("clock", "u32", "us", f"{_CLOCK_US}: of the instant at which the counts were taken"),
     *_counts(REPORTED_COUNTERS),
     ("width0", "u16", "1", "PWM 0: width in force from this instant on"),

@@ -54,6 +54,7 @@ class TestDuties:
     def test_mode_and_prescaler_are_those_of_the_wiring(self, new_bench, mode, number, prescaler):
         bench = new_bench(f"board.pwm_mode={mode}", f"board.pwm_prescaler={prescaler}")
         with bench.board:
+            bench.exchange(0.5, 0.5)
             settings = bench.device.settings
             assert [settings[f"pwm{channel}_mode"] for channel in (0, 1)] == [number, number]
             assert [settings[f"pwm{channel}_prescaler"] for channel in (0, 1)] == [prescaler, prescaler]

@@ -36,7 +36,7 @@ def _transport(path: str, config: RigConfig) -> Link:
 FAMILY: Final = BoardFamily(
     name="open",
     title="open board",
-    documentation="docs/boards.md",
+    documentation="docs/open-board.md",
     address_meaning="an open board, by its serial port if there are several",
     address=re.compile(r"(/.+)?"),
     address_hint="after open: comes the path of a serial port, as in open:/dev/ttyACM0",

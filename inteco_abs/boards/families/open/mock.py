@@ -95,7 +95,7 @@ class OpenFrontEnd:
         """Receive bytes from the host; a frame that silence has cut is dropped."""
         device = self.device
         device.catch_up()
-        if device.time_ns - self._heard_ns > SILENCE_MS * _MS:
+        if device.time_ns - self._heard_ns >= SILENCE_MS * _MS:
             self._receiver.drop()
         self._heard_ns = device.time_ns
         for frame in self._receiver.feed(data):
