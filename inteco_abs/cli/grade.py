@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -50,6 +51,8 @@ def grade(
         return _write_start(known[exercise], start, files)
     if not files and (table is not None or seed is not None):
         raise ConfigError.of("FILE", "name at least one file to grade")
+    if not files:
+        return _show_task(known[exercise], as_json=as_json)
     check_table(table)
     return _grade(known[exercise], files, seed, table, as_json=as_json)
 
@@ -64,6 +67,15 @@ def _list(*, as_json: bool) -> int:
     for each in exercises().values():
         say(f"{each.name:15}{each.title}; {each.page}")
     say("\ninteco-abs grade pi --start pi.py writes a starting file, inteco-abs grade pi pi.py grades it.")
+    return 0
+
+
+def _show_task(exercise: Exercise, *, as_json: bool) -> int:
+    if as_json:
+        facts = asdict(exercise)
+        print_json({"schema_version": 1, **facts, "rigs": exercise.rigs[0]})
+    else:
+        say(exercise.task)
     return 0
 
 
@@ -84,11 +96,8 @@ def _write_start(exercise: Exercise, path: Path, files: tuple[Path, ...]) -> int
 
 def _grade(exercise: Exercise, files: tuple[Path, ...], seed: int | None, table: Path | None, *, as_json: bool) -> int:
     from inteco_abs.course.grading import grade as graded
-    from inteco_abs.course.grading import new_seed, render_exercise
+    from inteco_abs.course.grading import new_seed
 
-    if not files:
-        show(render_exercise(exercise))
-        return 0
     seed = new_seed() if seed is None else seed
     grades: list[Grade] = []
     for file in files:

@@ -28,7 +28,7 @@ def brake(exercise: Exercise, submission: Submission, draw: Draw) -> Measured:
         for law in (exercise.score.zero, exercise.score.hundred)
     )
     values = {limit.measure: own[limit.measure].tolist() for limit in exercise.limits}
-    notes = tuple(f"{rig}: {error}" for rig, error in zip(rigs, own.errors, strict=True) if error)
+    notes = tuple(f"ended early: {rig}: {error}" for rig, error in zip(rigs, own.errors, strict=True) if error)
     return Measured(tuple(rigs), values, median(own[measure].tolist()), zero, hundred, notes)
 
 

@@ -47,6 +47,9 @@ _BIND_AND_CONNECT: Final = 3
 _ABSTRACT_SOCKETS_AND_SIGNALS: Final = 3
 _SYSTEM: Final = ("/usr", "/lib", "/lib64", "/bin", "/etc/ld.so.cache", "/etc/localtime", "/dev/null", "/dev/urandom")
 
+_PACKAGES: Final = ("site-packages", "dist-packages")
+"""Names of folders of installed packages, which a user may have outside of Python's."""
+
 
 def confine(cpu_s: int) -> list[str]:
     """Confine this process, for good, and end it after `cpu_s` of computing; return what holds.
@@ -114,7 +117,8 @@ def _landlock(offline: bool) -> Iterator[str]:
 def _readable() -> Iterator[Path]:
     """What Python needs: itself, the system's libraries, and this package without what stands beside it in a tree."""
     package = Path(__file__).resolve().parents[1]
-    for place in dict.fromkeys((*_SYSTEM, sys.prefix, sys.base_prefix, str(package))):
+    installed = (place for place in sys.path if Path(place).name in _PACKAGES)
+    for place in dict.fromkeys((*_SYSTEM, sys.prefix, sys.base_prefix, *installed, str(package))):
         if Path(place).exists():
             yield Path(place)
 

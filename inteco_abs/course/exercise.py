@@ -67,6 +67,22 @@ class Exercise:
         return (_FOLDER / self.name / "start.py").read_text(encoding="utf-8")
 
     @property
+    def task(self) -> str:
+        """What a file needs, and what it must keep, in lines."""
+        allowed = ", ".join(self.may_import)
+        of = "recordings of rigs" if self.kind in {"estimator", "monitor"} else "rigs"
+        lines = [
+            f"{self.name}: {self.title}; {self.page}",
+            f"The file has {self.asks}, and may import from this package {allowed}.",
+            f"It may compute for {self.cpu_s} s. It is judged on {self.cases} {of} drawn from {self.rigs[0]}:",
+        ]
+        for limit in self.limits:
+            unit = "" if limit.unit == "1" else f" {limit.unit}"
+            share = "in all" if limit.share == 1.0 else f"in {100.0 * limit.share:g} %"
+            lines.append(f"  {limit.what}: at most {limit.most:g}{unit} {share}")
+        return "\n".join(lines)
+
+    @property
     def page(self) -> str:
         """The page in the documentation."""
         return f"docs/course/{self.name}.md"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import secrets
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -24,7 +24,7 @@ from inteco_abs.course.monitoring import watch
 from inteco_abs.course.submission import Submission, SubmissionError
 from inteco_abs.errors import ConfigError, near_file
 
-__all__ = ["Exercise", "Grade", "Kept", "exercises", "grade", "new_seed", "render_exercise"]
+__all__ = ["Exercise", "Grade", "Kept", "exercises", "grade", "new_seed"]
 
 _KINDS: Final[Mapping[Kind, Callable[[Exercise, Submission, Draw], Measured]]] = {
     "controller": brake,
@@ -177,7 +177,7 @@ class Grade:
             body += [self._table(), Text(), Text(self._score(), "dim")]
         body += [Text(f"missing: {each}", "yellow") for each in self.missing]
         notes = () if self.measured is None else self.measured.notes
-        body += [Text(f"ended early: {note}") for note in notes[:_MOST_NOTES]]
+        body += [Text(note) for note in notes[:_MOST_NOTES]]
         if len(notes) > _MOST_NOTES:
             body.append(Text(f"and {len(notes) - _MOST_NOTES} more"))
         body += [Text(f"it printed: {line}", "dim") for line in self.printed[-_MOST_NOTES:]]
@@ -257,20 +257,3 @@ def _read(file: Path) -> bytes:
     if len(data) > _MOST_BYTES:
         raise ConfigError.of("FILE", f"{file}: {len(data)} bytes: must be at most {_MOST_BYTES}")
     return data
-
-
-def render_exercise(exercise: Exercise) -> RenderableType:
-    """What a submission must keep, for a terminal."""
-    return Group(*_lines(exercise))
-
-
-def _lines(exercise: Exercise) -> Iterator[Text]:
-    yield Text.assemble((exercise.name, "bold"), f": {exercise.title}; {exercise.page}")
-    allowed = ", ".join(exercise.may_import)
-    yield Text(f"the file has {exercise.asks}, may import from this package {allowed}, and computes {exercise.cpu_s} s")
-    kind = "recordings" if exercise.kind == "monitor" else "rigs"
-    yield Text(f"{exercise.cases} {kind}, drawn from {exercise.rigs[0]}:")
-    for limit in exercise.limits:
-        unit = "" if limit.unit == "1" else f" {limit.unit}"
-        share = "in all" if limit.share == 1.0 else f"in {100.0 * limit.share:g} %"
-        yield Text(f"  {limit.what}: at most {limit.most:g}{unit} {share}")

@@ -10,11 +10,14 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from inteco_abs.config import load_config
+from inteco_abs.control import Guard
 from inteco_abs.course.exercise import Exercise
-from inteco_abs.course.measured import Draw, Measured
+from inteco_abs.course.measured import Draw, Measured, median
 from inteco_abs.course.recordings import Recording, Whole, record
 from inteco_abs.course.submission import Submission
 from inteco_abs.rig import Plant, RigVariation
+from inteco_abs.signals import BoardFlags, Command, Estimate, Reason, Sample
 
 COUNTS_PER_TURN: Final = 2048
 FAULTS: Final = (
@@ -46,10 +49,13 @@ class _Said(NamedTuple):
 def watch(exercise: Exercise, submission: Submission, draw: Draw) -> Measured:
     """One recording of each rig. Raises SubmissionError."""
     numbers, cases, costs = draw.numbers("runs"), list[str](), list[float]()
+    guarded = list[float]()
     values: dict[str, list[float | None]] = {limit.measure: [] for limit in exercise.limits}
     for number, rig in enumerate(draw.rigs().values(), 1):
         fault, run = _run(rig, numbers)
         said = _said(submission, run)
+        if fault is not None:
+            guarded.append(_tripped_s(run) - fault.at_s)
         found = _found(fault, said)
         cases.append(f"recording {number}: {_described(fault)}; {_described(said, 'silence')}")
         costs.append(1.0 - found["worth"])
@@ -57,7 +63,22 @@ def watch(exercise: Exercise, submission: Submission, draw: Draw) -> Measured:
             column.append(found.get(name))
     own = math.fsum(costs) / len(costs)
     zero, hundred = float(exercise.score.zero), float(exercise.score.hundred)  # type: ignore[arg-type]
-    return Measured(tuple(cases), values, own, zero, hundred)
+    noticed = sorted(delay_s for delay_s in guarded if 0.0 <= delay_s <= LATE_S)
+    when = f", half of them within {median(noticed):.3f} s" if noticed else ""
+    note = f"a run's guard, which names none, notices {len(noticed)} of these {len(guarded)} faults{when}"
+    return Measured(tuple(cases), values, own, zero, hundred, (note,))
+
+
+def _tripped_s(run: Recording) -> float:
+    """When the guard would have ended the run, or infinity."""
+    guard = Guard(load_config(settings=[f"loop.rate_hz={1.0 / run.period_s:g}"]))
+    for row in range(len(run)):
+        tick, time_ns, dt_s, wheel, road, drive, brake = run.sample(row)
+        sample = Sample(tick, time_ns, dt_s, wheel, road, BoardFlags.NONE)
+        guard.admit(Command(drive, brake), sample, Estimate(0.0, 0.0, 0.0, valid=False))
+        if guard.reason is not Reason.NONE:
+            return row * run.period_s
+    return math.inf
 
 
 def _described(what: _Fault | _Said | None, nothing: str = "no fault") -> str:
@@ -67,9 +88,9 @@ def _described(what: _Fault | _Said | None, nothing: str = "no fault") -> str:
 def _said(submission: Submission, run: Recording) -> _Said | None:
     submission.ask("observer", COUNTS_PER_TURN, run.period_s)
     for tick in range(len(run)):
-        name = submission.ask("watch", *run.sample(tick))
+        name = submission.name("watch", *run.sample(tick))
         if name:
-            return _Said(str(name)[:40], tick * run.period_s)
+            return _Said(name, tick * run.period_s)
     return None
 
 

@@ -94,7 +94,7 @@ frame = sys._getframe()
 while frame is not None:
     frame.f_globals.update(passed=True, score=100)
     frame = frame.f_back
-print('{"passed": true, "score": 100}')
+print('\\x1b[2J{"passed": true, "score": 100}')
 """
 FORGING = """
 import os
@@ -140,7 +140,7 @@ def test_what_it_patches_is_its_own_copy_and_what_it_prints_is_no_grade(graded):
     found = graded(PATCHING + LAW.format(made="pass", updated="pass"), cases=1)
     assert not found.failure
     assert (found.passed, found.score) == (False, 0)
-    assert '{"passed": true, "score": 100}' in found.printed
+    assert '\\x1b[2J{"passed": true, "score": 100}' in found.printed
 
 
 @pytest.mark.parametrize(
@@ -175,9 +175,16 @@ def test_a_file_that_fails_is_not_passed_and_has_no_score(graded):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("source", ["while True: pass", "import os\nos.kill(os.getpid(), 9)"])
-def test_endless_computing_ends(source):
-    killed = pytest.raises(SubmissionError, match="was killed: it may compute for 1 s")
+@pytest.mark.parametrize(
+    ("source", "problem"),
+    [
+        ("while True: pass", "was killed: it may compute for 1 s"),
+        ("import os\nos.kill(os.getpid(), 9)", "was killed: it may compute for 1 s"),
+        ("import time\ntime.sleep(1e6)", "was killed: it has not come to an end within 5 s"),
+    ],
+)
+def test_endless_computing_and_sleeping_end(source, problem):
+    killed = pytest.raises(SubmissionError, match=problem)
     with killed, Submission("file.py", source, "Law", [], 1):
         pass
 

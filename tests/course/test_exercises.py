@@ -27,6 +27,7 @@ def test_the_model_solution_passes_and_says_what_it_is_compared_with(name):
     assert 30 < found.score <= 100
     measured = found.measured
     assert measured.hundred < measured.zero
+    assert ["guard" in note for note in measured.notes] == [True] * (name == "faults")
     assert [each.limit for each in found.kept] == list(exercises()[name].limits)
 
 

@@ -28,6 +28,8 @@ def test_it_lists_the_exercises_and_the_limits_of_one(main_here):
     known = json.loads(main_here("grade", "--json", check=0).stdout)["exercises"]
     assert [each["name"] for each in known] == list(course.exercises())
     assert "slip RMS from 0.25 s on: at most 0.03 in 90 %" in main_here("grade", "pi", check=0).stdout
+    limits = json.loads(main_here("grade", "pi", "--json", check=0).stdout)["limits"]
+    assert {"measure": "band_entry_s", "what": "arrival within 0.01", "unit": "s", "most": 0.4, "share": 0.9} in limits
 
 
 def test_it_writes_the_starting_file_and_overwrites_none(main_here, tmp_path):
