@@ -21,5 +21,5 @@ def test_any_events_within_three_ticks_of_any_moment_keep_the_invariants(record_
 
 
 @pytest.mark.long
-def test_any_events_within_six_ticks_of_any_moment_keep_the_invariants(record_property):
-    search(record_property, 6)
+def test_any_events_within_five_ticks_of_any_moment_keep_the_invariants(record_property):
+    search(record_property, 5)
