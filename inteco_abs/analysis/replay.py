@@ -18,7 +18,14 @@ from inteco_abs.analysis.tolerance import DISCRETE, OUTPUTS, Array, Shift, Shift
 from inteco_abs.control import REFERENCE, Controller, Pipeline, build_pipeline, control_check, gains_in_force
 from inteco_abs.errors import SessionError, describe_error
 from inteco_abs.format import TICK, Role
-from inteco_abs.sessions import RECOVERED, Session, describe_other_arithmetic, other_arithmetic, session_config
+from inteco_abs.sessions import (
+    BLOCK_TICKS,
+    RECOVERED,
+    Session,
+    describe_other_arithmetic,
+    other_arithmetic,
+    session_config,
+)
 from inteco_abs.signals import BoardFlags, Phase, Reason, Sample
 
 _INPUTS: Final = tuple(column.name for column in TICK.columns if column.role is Role.INPUT)
@@ -28,6 +35,8 @@ _LONGEST_S: Final = (1 << 64) * 1e-9
 """Range of a clock of 64 bits in ns."""
 _BLOCK: Final = 4096
 """Ticks that a processor's cache holds."""
+_COMPARED_TICKS: Final = 8192
+"""Ticks of a block that is compared field by field."""
 _NO_FLAGS: Final = BoardFlags.NONE  # two enums looked up by value would take a tenth of a tick
 _NO_REQUEST: Final = Reason.NONE
 
@@ -189,7 +198,7 @@ def replay_session(
     found = _Comparison(tolerances or {})
     changes = gain_changes(session)
     with recorded_arithmetic(session):
-        for logged, _ in checked_blocks(session):
+        for logged, _ in checked_blocks(session, _COMPARED_TICKS):
             found.add(logged, TICK.array_of(steps(pipeline, samples_of(logged), changes)))
     return found.result(session)
 
@@ -356,9 +365,9 @@ def require_inputs(session: Session) -> None:
     require_known(session)
 
 
-def checked_blocks(session: Session) -> Iterator[tuple[Array, Array]]:
+def checked_blocks(session: Session, ticks_each: int = BLOCK_TICKS) -> Iterator[tuple[Array, Array]]:
     """The session's ticks and true states in blocks. Raises SessionError for an impossible dt_s."""
-    for ticks, states in session.blocks():
+    for ticks, states in session.blocks(ticks_each):
         impossible = np.flatnonzero(~(np.abs(ticks["dt_s"]) < _LONGEST_S))
         if len(impossible):
             tick, dt_s = (ticks[name][impossible[0]] for name in ("tick", "dt_s"))
