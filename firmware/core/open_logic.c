@@ -373,7 +373,6 @@ void open_logic_reset(void)
     open.refused = 0u;
     open.ticking = false;
     open.report = 0u;
-    open.pending = false;
     open.applied = 0u;
     open.arrived = 0u;
     open_logic_draw_challenge();

@@ -3,6 +3,7 @@
 from itertools import pairwise
 
 import pytest
+from host_board import HostBoard
 from open_host import OpenHost, decoded
 
 from firmware_protocol.c_header import BOARD_DATE, BOARD_NAME
@@ -46,6 +47,29 @@ class TestIdentity:
         assert values.pop("challenge")
         assert set(values.values()) == {0}
 
+    def test_the_first_frame_of_a_board(self, tmp_path):
+        assert OpenHost(HostBoard(tmp_path)).status()["state"] == State.IDLE
+
+    def test_a_reset_forgets_all(self, host, board):
+        start = host.status()
+        board.inputs = 0xFFFF
+        host.armed(tick_hz=1000, watchdog_ms=50, stop_pins=0xFFFF)
+        host.reports(1000)
+        host.command(9, 9, sequence=0)
+        host.command(9, 9, sequence=5)
+        host.reports(2000)
+        board.write(b"\xa5\xff" + COMMAND.encode()[:5])
+        board.reset()
+        assert host.status() | {"challenge": 0} == start | {"challenge": 0}
+        found = host.commanded(0, 0)
+        assert (found["tick"], found["applied"], board.tick_us) == (0, 0, 1000)
+
+    def test_status_counts_late_instants(self, host, board):
+        host.armed(tick_hz=1000)
+        host.reports(4000)
+        name, found = decoded(board.asked(QUERY.encode()))[0]
+        assert (name, found["late"]) == ("STATUS", 3)
+
     def test_status_shows_what_is_there(self, host, board):
         board.advance(1234)
         board.inputs = 0x2ABCDEF
@@ -82,6 +106,25 @@ class TestConfigure:
     def test_an_unknown_pwm_mode(self, host, pwm_mode):
         assert refusal(host.configure(pwm_mode=pwm_mode)) == Refused.VALUE
 
+    def test_a_refusal_says_what_and_why(self, host, board):
+        board.write(VENDOR_ON)
+        board.advance(251_000)
+        assert host.configure(watchdog_ms=1)[1] == {
+            "sequence": 7,
+            "refused": 2,
+            "reason": Refused.VALUE,
+            "state": State.IDLE,
+            "trip": Trip.VENDOR_WATCHDOG,
+        }
+        host.armed()
+        assert host.asked(CLEAR)[1] == {
+            "sequence": 7,
+            "refused": 7,
+            "reason": Refused.STATE,
+            "state": State.ARMED,
+            "trip": Trip.VENDOR_WATCHDOG,
+        }
+
     def test_not_while_armed_or_tripped(self, host, board):
         host.armed()
         assert refusal(host.configure()) == Refused.STATE
@@ -103,8 +146,9 @@ class TestConfigure:
         host.configure(stop_pins=1)
         assert board.driven == (0, 0)
         assert board.asked(READ_REQUEST) == start
-        board.turn(0, 5)
-        assert host.status()["count0"] == 5
+        for channel in range(4):
+            board.turn(channel, 5)
+        assert [host.status()[f"count{i}"] for i in range(4)] == [5] * 4
 
     def test_it_moves_nothing_and_sends_no_reports(self, host, board):
         host.configure(tick_hz=4000, pwm_mode=1, pwm_prescaler=44)
@@ -193,9 +237,10 @@ class TestPolledCommands:
     @pytest.mark.parametrize(("pwm_mode", "most"), [(0, 255), (1, 4095)])
     def test_mode_and_prescaler_are_those_configured(self, host, board, pwm_mode, most):
         host.armed(pwm_mode=pwm_mode, pwm_prescaler=0xABCD)
-        host.commanded(most, 0)
-        assert board.pwm == ((most, pwm_mode, 0xABCD), (0, pwm_mode, 0xABCD))
+        host.commanded(most, most)
+        assert board.pwm == ((most, pwm_mode, 0xABCD),) * 2
         assert host.commanded(most + 1, 0)["width0"] == most
+        assert host.commanded(0, most + 1)["width0"] == most
 
     @pytest.mark.parametrize("widths", [(4096, 0), (0, 4096), (0xFFFF, 0xFFFF)])
     def test_widths_out_of_range_change_nothing(self, host, board, widths):
@@ -208,18 +253,19 @@ class TestPolledCommands:
 
     def test_in_another_state_widths_stay_off_and_count_as_refused(self, host, board):
         def refused():
-            found = host.commanded(1, 0)
-            assert (found["width0"], found["applied"], board.widths) == (0, 0, (0, 0))
-            host.commanded(0, 1)
-            host.commanded(0, 0)
-            return host.status()["refused"]
+            seen = []
+            for widths in ((0, 0), (1, 0), (0, 0), (0, 1), (1, 1)):
+                found = host.commanded(*widths)
+                assert (found["width0"], found["applied"], board.widths) == (0, 0, (0, 0))
+                seen.append(host.status()["refused"])
+            return seen
 
-        assert refused() == 2
+        assert refused() == [0, 1, 1, 2, 3]
         host.configure()
-        assert refused() == 4
+        assert refused() == [3, 4, 4, 5, 6]
         host.armed()
         board.advance(11_000)
-        assert refused() == 6
+        assert refused() == [6, 7, 7, 8, 9]
 
     def test_the_numbers_of_reports_begin_at_each_arming(self, host):
         host.armed()

@@ -94,6 +94,7 @@ class TestAsTheTablesSay:
     @given(any_stream, st.integers(0, 40_000))
     @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
     @example([send(timer_mode=3, timer_reset=1), send(timer_mode=3), READ_REQUEST], 40_000)
+    @example([send(timer_mode=3, timer_reset=2), send(timer_mode=3), READ_REQUEST], 40_000)
     def test_it_answers_as_the_mock_board(self, board, messages, pause_us):
         board.reset()
         mock = MockBoard(board)
@@ -144,10 +145,11 @@ class TestWatchdog:
             assert board.widths == (4095, 200)
 
     def test_after_a_trip_widths_read_zero_and_stay_off_until_a_send_frame_has_them_all_zero(self, board):
-        board.write(send(**BOTH_ON))
+        board.write(send(**BOTH_ON, pwm2_width=7))
         board.advance(WATCHDOG_US)
         found = asked(board)
-        assert (found["pwm0_width"], found["pwm1_width"], found["pwm0_prescaler"]) == (0, 0, 2)
+        assert [found[f"pwm{i}_width"] for i in range(3)] == [0, 0, 7]
+        assert found["pwm0_prescaler"] == 2
         board.write(send(**BOTH_ON))
         assert board.widths == (0, 0)
         assert asked(board)["pwm0_width"] == 0
@@ -168,6 +170,18 @@ class TestWatchdog:
         assert board.widths == (4095, 200)
         board.advance(1000)
         assert board.widths == (0, 0)
+
+
+def test_data_bytes_without_a_command_are_ignored(board):
+    board.write(send(**BOTH_ON) + send()[1:] + bytes(200))
+    assert board.widths == (4095, 200)
+
+
+def test_a_reset_drops_an_unfinished_frame(board):
+    board.write(send(**BOTH_ON)[:100])
+    board.reset()
+    board.write(send(**BOTH_ON)[100:])
+    assert board.widths == (0, 0)
 
 
 def test_an_answer_that_does_not_fit_is_not_cut(board):
