@@ -254,6 +254,9 @@ def main(arguments: list[str]) -> int:
     if arguments not in ([], ["--check"]):
         sys.stderr.write("usage: python -m firmware_protocol.c_header [--check]\n")
         return 2
+    if not FOLDER.is_dir():
+        sys.stderr.write(f"{FOLDER}: no such folder; run it in the source tree, where the firmware is\n")
+        return 1
     stale = []
     for name, header in HEADERS.items():
         path = FOLDER / name

@@ -13,7 +13,7 @@ from host_board import FIRMWARE, built
 
 RUN = partial(subprocess.run, capture_output=True, text=True, check=False, timeout=600)
 HERE = Path(__file__).parent
-TESTS = ["test_open_logic.py", "test_vendor_logic.py", "test_time_to_off.py"]
+TESTS = ["test_open_logic.py", "test_vendor_logic.py", "test_time_to_off.py", "test_differential.py"]
 
 
 def run_tests(library, **environment):

@@ -35,7 +35,7 @@ def test_a_million_bytes():
 
 
 @pytest.mark.long
-def test_ten_million_bytes():
+def test_a_hundred_million_bytes():
     for seed in range(2, 12):
         assert_busy(10_000_000, seed)
 

@@ -16,6 +16,12 @@ def test_a_stale_header_is_named(tmp_path, monkeypatch, capsys):
     assert c_header.main(["--help"]) == 2
 
 
+def test_without_the_firmware_it_says_where_to_run_it(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(c_header, "FOLDER", tmp_path / "core")
+    assert c_header.main([]) == 1
+    assert "run it in the source tree" in capsys.readouterr().err
+
+
 def test_the_headers_in_the_tree_are_up_to_date():
     assert c_header.main(["--check"]) == 0
 
