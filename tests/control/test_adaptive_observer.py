@@ -92,13 +92,22 @@ def test_the_slip_by_a_brake_without_lag_is_known_after_40_ms(rolling, dead_time
     assert seen.slip == pytest.approx(run.plant.slip, abs=0.006)
 
 
-def test_a_brake_that_acts_far_more_than_expected_is_taken_for_one_without_lag(rolling):
-    quick = replace(RigVariation().parameters, c31=1e6)
-    run = driven(rolling, RigVariation(quick, brake_dead_time_s=0.005, brake_map="measured"), speed_rad_s=60.0)
-    lags = [run.tick(lambda _seen: Command(0.0, 1.0)).outlook for _ in range(60)]
-    assert lags[20].brake_lag_s == pytest.approx(0.05, abs=0.01)
-    assert lags[-1].brake_lag_s == pytest.approx(0.004, abs=0.002)
-    assert lags[-1].brake_dead_time_s == pytest.approx(0.005, abs=0.002)
+@pytest.mark.parametrize(("lag_s", "expected_s"), [(1e-6, 0.002), (0.005, 0.006), (0.015, 0.015)])
+def test_the_lag_of_a_quick_brake_shows_in_how_quickly_the_wheel_departs_from_rolling(rolling, lag_s, expected_s):
+    quick = replace(RigVariation().parameters, c31=1.0 / lag_s)
+    run = driven(rolling, RigVariation(quick, brake_dead_time_s=0.005, brake_map="measured"), speed_rad_s=120.0)
+    seen = [run.tick(lambda _seen: Command(0.0, 1.0)).outlook for _ in range(70)]
+    assert seen[10].brake_lag_s == pytest.approx(0.05, abs=0.01)
+    assert seen[-1].brake_lag_s == pytest.approx(expected_s, abs=0.006)
+    assert seen[-1].brake_dead_time_s == pytest.approx(0.005, abs=0.003)
+
+
+def test_a_brake_without_dead_time_is_found_by_an_onset_that_comes_early(rolling):
+    run = driven(rolling, RigVariation(brake_dead_time_s=0.0, brake_map="measured"), speed_rad_s=120.0)
+    for _ in range(160):
+        seen = run.tick(lambda _seen: Command(0.0, 1.0))
+    assert seen.outlook.brake_dead_time_s < 0.006
+    assert seen.outlook.brake_lag_s == pytest.approx(1.0 / RigVariation().parameters.c31, abs=0.015)
 
 
 @pytest.mark.parametrize("ratio", [1.0, 3.0])

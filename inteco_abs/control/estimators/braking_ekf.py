@@ -89,10 +89,8 @@ class EkfTuning:
     """Deviation of the time between stamp and counts, common to both wheels."""
     learns_radius: bool = False
     """Whether the ratio of the radii is learnt in the run-up."""
-    doubt: float = math.inf
-    """Mean innovation as in `surprise`, below whose negative a brake that acts is taken for a quick one."""
     finds_onset: bool = False
-    """Whether a dead time far from the prior one is found by the instant at which the wheel departs from rolling."""
+    """Whether dead time and lag far from the prior ones are found by how the wheel departs from rolling."""
     learns_second: bool = False
     """Whether the discs' errors twice per turn are learnt there."""
 

@@ -126,6 +126,13 @@ def follow(k: DiscConstants, s: DiscState, angle: float, dt_s: float) -> None:
         row[4] -= gain * e4
 
 
+def follow_braked(k: DiscConstants, s: DiscState, angle: float, dt_s: float) -> None:
+    """As `follow`, with the disc's errors as they are: what the brake does would pass for one."""
+    cosine, sine, cosine_2, sine_2, learnt = s.cosine, s.sine, s.cosine_2, s.sine_2, s.learnt
+    follow(k, s, angle, dt_s)
+    s.cosine, s.sine, s.cosine_2, s.sine_2, s.learnt = cosine, sine, cosine_2, sine_2, learnt
+
+
 def _without_second(s: DiscState, angle: float, sine: float, cosine: float) -> float:
     """Learn the error twice per turn from what the filter, too slow for it, does not follow; the angle without it.
 

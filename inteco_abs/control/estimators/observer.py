@@ -25,6 +25,7 @@ from inteco_abs.control.estimators.eccentricity import (
     DiscState,
     disc_constants,
     follow,
+    follow_braked,
     restart,
     rolling_wheel,
     straight,
@@ -54,12 +55,20 @@ _NOTICED_S: Final = 0.015
 """Time from the onset to that deviation."""
 _ONSET_SD_S: Final = 0.008
 """Standard deviation of a dead time that was found by its onset."""
-_QUICK_LAG_S: Final = 0.004
+_GROWN: Final = 1.6
+"""Mean deviation whose time after that shows the lag: 3 ms without lag, 9 ms for one of 50 ms."""
+_QUICK_GROWTH_S: Final = 0.0065
+"""That time below which a brake is quick: its lag is then 6.5 times what exceeds 2.7 ms."""
+_LAG_BY_GROWTH: Final = 6.5
+_LEAST_GROWTH_S: Final = 0.0027
 _QUICKLY_NOTICED_S: Final = 0.006
-"""As above, of a quick brake."""
+_NOTICED_BY_LAG: Final = 0.37
+"""A quick brake is noticed after 6 ms and this share of its lag."""
 _BRAKE: Final = (4, 5, 9, 10, 11)
-_QUICK_SD: Final = (2.0, 0.34, 0.003, 0.003, 0.3)
+_QUICK_SD: Final = (1.0, 0.34, 0.003, 0.004, 0.3)
 """Of its torque, excess torque, dead time, lag and its factor in releasing."""
+_QUICK_SHARE: Final = 0.3
+"""Standard deviation of its lag as a share, besides."""
 _CAUTION_SD: Final = 0.5
 """Standard deviations by which the slowest release that the law reckons with exceeds the estimated one."""
 _RATIO_S: Final = 0.15
@@ -98,7 +107,9 @@ class ObserverState:
     asked_s: float = 0.0
     """Time since the first torque of this braking was commanded."""
     acted_s: float = 0.0
-    """That at which the wheel departed from rolling; 0 before, and where the brake was taken for a quick one."""
+    """That at which the wheel departed from rolling; 0 before."""
+    growth_s: float = 0.0
+    """Time since then in which the departure grew."""
     departure: float = 0.0
     """Mean deviation of the wheel from one that still rolls, each over its standard deviation."""
     wheel_mean: float = 0.0
@@ -126,7 +137,7 @@ def observe(k: ObserverConstants, s: ObserverState, sample: Sample, command: Com
         if drive <= 0.0 and s.road.speed > _BRAKING_FROM_RAD_S and s.samples >= _SAMPLES:
             released = s.pending.torques[s.pending.newest - 1] == 0.0
             s.braking, s.asked_s, s.departure = True, 0.0 if released else k.latest_onset_s, 0.0
-            s.acted_s = 0.0
+            s.acted_s = s.growth_s = 0.0
             begin(k.ekf, s.ekf, s.pending, s.wheel, s.road)
     braking, x, ratio = s.braking, s.ekf.x, s.ekf.radius_ratio
     wheel_speed, road_speed = (x[1] / ratio, x[3]) if braking else (s.wheel.speed, s.road.speed)
@@ -176,34 +187,12 @@ def _brake(
         restart(disc, road, road_angle, x[3], _HANDED_OVER_SD)
     elif k.ekf.tuning.finds_onset and s.asked_s < k.latest_onset_s:
         _find_onset(k, s, wheel_angle, road_angle, dt_s)
-    if s.acted_s > 0.0 and s.ekf.surprise < -k.ekf.tuning.doubt:
-        _take_for_quick(k, s)
-
-
-def _take_for_quick(k: ObserverConstants, s: ObserverState) -> None:
-    """Begin again with a brake without much lag, as the wheel is braked far more than expected; once in a stop.
-
-    From a lag of 50 ms the filter, which is linear about it, does not come to one of 5 ms.
-    """
-    x, P, pending = s.ekf.x, s.ekf.P, s.pending
-    moved = x[0], x[1], x[2], x[3]
-    begin(k.ekf, s.ekf, pending, s.wheel, s.road)
-    for i in range(4):
-        x[i] = moved[i]
-        for j in range(4):
-            P[i][j] = 0.0
-        P[i][i] = elementary.raised(MISLED_SD[i], 2)
-    x[9], x[10], x[11] = max(SHORTEST_DEAD_TIME_S, s.acted_s - _QUICKLY_NOTICED_S), _QUICK_LAG_S, 1.0
-    x[4], _ = arrived(k.ekf.delay, pending, x[9], 0)
-    for i in range(5):
-        P[_BRAKE[i]][_BRAKE[i]] = elementary.raised(_QUICK_SD[i], 2)
-    s.acted_s = 0.0
 
 
 def _find_onset(k: ObserverConstants, s: ObserverState, wheel_angle: float, road_angle: float, dt_s: float) -> None:
-    """Move the dead time on while the wheel still rolls although the filter expects torque.
+    """Find dead time and lag by the instant at which the wheel departs from rolling, and by how quickly it does.
 
-    The filter is linear about one dead time, and cannot find one that is far from it.
+    The filter is linear about one dead time and one lag, and cannot find those that are far from them.
     """
     if s.pending.torques[s.pending.newest] > 0.0:
         s.asked_s += dt_s
@@ -213,20 +202,60 @@ def _find_onset(k: ObserverConstants, s: ObserverState, wheel_angle: float, road
     variance = wheel.P[0][0] + k.disc.noise + rolling * rolling * (road.P[0][0] + k.disc.noise)
     deviation = (_ahead_of_prediction(wheel, wheel_angle, dt_s) - rolling * late) / math.sqrt(variance)
     s.departure += k.ekf.tuning.surprise_gain * (deviation - s.departure)
+    if s.acted_s > 0.0:
+        s.growth_s += dt_s
+        follow_braked(k.disc, wheel, wheel_angle, dt_s)
+        follow_braked(k.disc, road, road_angle, dt_s)
+        if s.growth_s >= _QUICK_GROWTH_S:
+            s.asked_s = k.latest_onset_s
+            if s.acted_s - _NOTICED_S < k.ekf.tuning.dead_time_s - _ONSET_SD_S:
+                _move_onset(k, s, x[0], x[1], x[2], x[3])
+        elif s.departure < -_GROWN:
+            s.asked_s = k.latest_onset_s
+            _take_for_quick(k, s)
+        return
     follow(k.disc, wheel, wheel_angle, dt_s)
     follow(k.disc, road, road_angle, dt_s)
     if s.departure < -_DEPARTED:
-        if x[9] < s.asked_s - _NOTICED_S - _ONSET_SD_S:
-            begin(k.ekf, s.ekf, s.pending, wheel, road)
-            x[4] *= 1.0 - elementary.exp(-_NOTICED_S / x[10])
-            x[9] = s.asked_s - _NOTICED_S
-            P[1][1] += elementary.raised(MISLED_SD[1], 2)
-            P[4][4], P[9][9] = elementary.raised(0.5 * x[4], 2), elementary.raised(_ONSET_SD_S, 2)
-        s.acted_s, s.asked_s = s.asked_s, k.latest_onset_s
+        s.acted_s = s.asked_s
+        if x[9] < s.acted_s - _NOTICED_S - _ONSET_SD_S:
+            ratio = s.ekf.radius_ratio
+            _move_onset(k, s, wheel.angle * ratio, wheel.speed * ratio, road.angle, road.speed)
     elif s.ekf.surprise > k.ekf.tuning.surprise and x[9] < s.asked_s:
         begin(k.ekf, s.ekf, s.pending, wheel, road)
         x[4], x[9] = 0.0, s.asked_s
         P[4][4], P[9][9] = 0.0, elementary.raised(_ONSET_SD_S, 2)
+
+
+def _move_onset(k: ObserverConstants, s: ObserverState, th1: float, x1: float, th2: float, x2: float) -> None:
+    """Begin again with the dead time that the onset shows, and these angles and speeds of wheel and road."""
+    x, P = s.ekf.x, s.ekf.P
+    begin(k.ekf, s.ekf, s.pending, s.wheel, s.road)
+    x[0], x[1], x[2], x[3] = th1, x1, th2, x2
+    x[4] *= 1.0 - elementary.exp(-(_NOTICED_S + s.growth_s) / x[10])
+    x[9] = max(SHORTEST_DEAD_TIME_S, s.acted_s - _NOTICED_S)
+    P[1][1] += elementary.raised(MISLED_SD[1], 2)
+    P[4][4], P[9][9] = elementary.raised(0.5 * x[4], 2), elementary.raised(_ONSET_SD_S, 2)
+
+
+def _take_for_quick(k: ObserverConstants, s: ObserverState) -> None:
+    """Begin again with a brake of the lag that the departure's growth shows."""
+    x, P, tuning = s.ekf.x, s.ekf.P, k.ekf.tuning
+    th1, x1, th2, x2 = x[0], x[1], x[2], x[3]
+    begin(k.ekf, s.ekf, s.pending, s.wheel, s.road)
+    x[0], x[1], x[2], x[3] = th1, x1, th2, x2
+    for i in range(4):
+        for j in range(4):
+            P[i][j] = 0.0
+        P[i][i] = elementary.raised(MISLED_SD[i], 2)
+    lag_s = max(_LAG_BY_GROWTH * (s.growth_s - _LEAST_GROWTH_S), tuning.shortest_lag_s)
+    noticed_s = _QUICKLY_NOTICED_S + _NOTICED_BY_LAG * lag_s
+    x[9], x[10], x[11] = max(SHORTEST_DEAD_TIME_S, s.acted_s - noticed_s), lag_s, 1.0
+    settled, _ = arrived(k.ekf.delay, s.pending, x[9], 0)
+    x[4] = settled * (1.0 - elementary.exp(-(noticed_s + s.growth_s) / lag_s))
+    for i in range(5):
+        P[_BRAKE[i]][_BRAKE[i]] = elementary.raised(_QUICK_SD[i], 2)
+    P[10][10] += elementary.raised(_QUICK_SHARE * lag_s, 2)
 
 
 def _ahead_of_prediction(s: DiscState, angle: float, dt_s: float) -> float:
@@ -312,7 +341,6 @@ ANY_BRAKE: Final = EkfTuning(
     latch_jitter_s=0.000052,
     learns_radius=True,
     learns_second=True,
-    doubt=1.2,
     finds_onset=True,
 )
 """For any brake and any tyre: it accepts more than `EkfTuning`, and expects less of lag and release.
