@@ -194,7 +194,7 @@ class Grade:
         score, measured = self.exercise.score, self.measured
         names = {limit.measure: limit.what for limit in self.exercise.limits}
         return (
-            f"score: {names.get(score.measure, score.measure)}, {_number(measured.own)} (median); "
+            f"score: {names.get(score.measure, score.measure)}, {_number(measured.own)}; "
             f"0 is {_named(score.zero, measured.zero)}, 100 is {_named(score.hundred, measured.hundred)}"
         )
 

@@ -1,4 +1,4 @@
-"""A monitor that knows one fault, and cries wolf. The page says more: docs/course/faults.md."""
+"""A monitor that knows one fault, and takes others for it. The page says more: docs/course/faults.md."""
 
 from math import pi
 
