@@ -18,6 +18,9 @@ const byId = (id) => document.getElementById(id);
 const form = byId("form");
 let choices, begun, points, tunable, values, running, view, chosenView, dirty, rows = [], shown = MORE;
 
+// exit codes after which the messages need not be read first
+const QUIET = [0, 3, 130];
+
 function make(tag, attributes = {}, ...children) {
   const element = document.createElement(tag);
   for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
@@ -35,11 +38,11 @@ function say(text) {
 }
 
 async function ask(path, body) {
+  if (body !== undefined) say("");
   try {
     const request = body === undefined ? {} : { method: "POST", body: JSON.stringify(body) };
     const answer = await fetch(path, request);
     if (!answer.ok) throw new Error(await answer.text());
-    say("");
     return await answer.json();
   } catch (error) {
     say(error.message);
@@ -81,7 +84,11 @@ const HANDLERS = {
     showValues();
   },
   changed: (line) => message(`${line.changed.name} = ${short(line.changed.value)} from tick ${line.changed.tick} on`),
-  refused: (line) => say(line.refused),
+  refused: (line) => {
+    say(line.refused);
+    document.activeElement?.blur(); // what is shown is what is in force
+    showValues();
+  },
   note: (line) => message(line.note),
   warning: (line) => {
     say(line.warning);
@@ -90,7 +97,10 @@ const HANDLERS = {
   message: (line) => message(line.message, true),
   card: (line) => showCard(line.card),
   state: (line) => {
-    points.push(...line.points);
+    for (const point of line.points) {
+      if (point[PHASE] > BRAKING) point[SLIP] = null; // of a wheel at rest it says nothing
+      points.push(point);
+    }
     if (points.length > MOST_POINTS) points.splice(0, points.length - MOST_POINTS);
     if (!chosenView) view = line.points.some((point) => point[PHASE] === BRAKING) ? "braking" : view;
     const state = line.state;
@@ -103,6 +113,7 @@ const HANDLERS = {
   end: (line) => {
     running = false;
     byId("state").textContent = EXITS[line.end] ?? `not completed (exit code ${line.end})`;
+    if (!QUIET.includes(line.end)) say([...byId("messages").children].map((item) => item.textContent).join("\n"));
     showRunning();
     loadSessions();
   },
@@ -130,7 +141,7 @@ function connect() {
     HANDLERS[Object.keys(line)[0]]?.(line);
   };
   socket.onclose = () => {
-    byId("state").textContent = "no connection; trying again";
+    byId("state").textContent = "no connection; trying again (a new server has a new address)";
     setTimeout(connect, AGAIN_MS);
   };
 }
@@ -330,7 +341,7 @@ form.onsubmit = async (event) => {
   if (!choices.boards[board] && !confirm(`The wheels of the rig at ${board} will turn. Is the cover closed, and a hand at the emergency switch?`)) return;
   const changed = gainRows().filter((row) => row.value !== row.default).map((row) => [row.dataset.name, row.value]);
   const speed = Number(form.speed.value);
-  await ask("run", {
+  const started = await ask("run", {
     board,
     virtual: form.time.value === "virtual",
     seed: Number(form.seed.value),
@@ -341,6 +352,7 @@ form.onsubmit = async (event) => {
     ...(speed === choices.start.speed ? {} : { speed }),
     note: form.note.value,
   });
+  if (started) byId("live").scrollIntoView({ behavior: "smooth" });
 };
 
 async function loadChoices() {

@@ -95,8 +95,10 @@ def _not_served(served: Served, error: OSError | OverflowError) -> AbsError:
 async def _until_signalled() -> None:
     loop, over = asyncio.get_running_loop(), asyncio.Event()
     for name in ("SIGTERM", "SIGHUP"):
-        with suppress(NotImplementedError, RuntimeError, AttributeError):  # Windows, or not the main thread
-            loop.add_signal_handler(getattr(signal, name), over.set)
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:  # as under nohup
+            with suppress(NotImplementedError, RuntimeError):  # Windows, or not the main thread
+                loop.add_signal_handler(number, over.set)
     await over.wait()
 
 
@@ -174,7 +176,7 @@ class _Server:
         given = bearer or request.cookies.get(self._cookie, "")
         if request.path == "/" and "token" in request.query:
             given = request.query["token"]
-        if not hmac.compare_digest(given.encode(), self._served.token.encode()):
+        if not hmac.compare_digest(given.encode(errors="surrogateescape"), self._served.token.encode()):
             return _said(401, "open this page by the address that the terminal shows: it ends in ?token=...")
         return None
 
@@ -236,17 +238,16 @@ class _Server:
         state = path.stat()
         made = self._pages / f"{state.st_ino}-{state.st_mtime_ns}-{page}"
         verb, kind = ("report", "text/html") if page == "report.html" else ("figure", "image/svg+xml")
-        async with self._making:
-            if not made.exists():
+        if not made.exists():
+            async with self._making:
                 await self._run.over.wait()
-                code, text = await _command(verb, str(path), "-o", str(made))
+                code, text = (0, "") if made.exists() else await _command(verb, str(path), "-o", str(made))
                 if not made.exists():
                     return _said(500, text or f"{verb} ended with exit code {code}")
                 for old in sorted(self._pages.iterdir(), key=lambda each: each.stat().st_mtime_ns)[:-_MOST_PAGES]:
                     old.unlink()
-            content = made.read_bytes()
         sandboxed = {"Content-Security-Policy": _SANDBOX}
-        return web.Response(body=content, content_type=kind, charset="utf-8", headers=sandboxed)
+        return web.Response(body=made.read_bytes(), content_type=kind, charset="utf-8", headers=sandboxed)
 
     async def _live(self, request: web.Request) -> web.StreamResponse:
         """Send all lines of the present or last run, and those that come."""
@@ -363,7 +364,8 @@ class _Run:
             (send or self._send)(line.decode("utf-8", "replace").rstrip())
 
     def _message(self, line: str) -> None:
-        self._report(line)
+        with suppress(OSError):  # the terminal is gone
+            self._report(line)
         self._send(json.dumps({"message": line}))
 
     def _send(self, line: str) -> None:

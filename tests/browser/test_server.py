@@ -38,10 +38,10 @@ def run_to_the_end(server, **asked):
 
 
 @pytest.mark.parametrize("path", [*EVERY, *POSTED])
-@pytest.mark.parametrize("token", ["", "wrong", "ünknown"])
+@pytest.mark.parametrize("token", ["", "wrong", "ünknown".encode().decode("latin-1"), "\xff"])
 def test_without_the_token_nothing_is_given_or_done(server, path, token):
     body = {} if path in POSTED else None
-    status, headers, text = server.ask(path, body, token=token.encode().decode("latin-1"))
+    status, headers, text = server.ask(path, body, token=token)
     assert status == 401
     assert "the terminal shows" in text
     assert "default-src 'none'" in headers["Content-Security-Policy"]
@@ -92,7 +92,7 @@ def test_a_page_of_another_site_or_port_can_do_nothing(server, origin):
 @pytest.mark.parametrize(
     "name",
     ["..%2f..%2fetc%2fpasswd", "%2fetc%2fpasswd", "..", "%2e%2e", "notes.txt", "link.mcap", "none.mcap", "a%00.mcap",
-     "folder.mcap"],
+     "folder.mcap", "%ff.mcap"],
 )  # fmt: skip
 def test_only_sessions_of_the_folder_are_files_that_it_gives_away(server, tmp_path, name):
     (server.folder / "notes.txt").write_text("mine")
@@ -169,6 +169,7 @@ def test_a_run_that_cannot_start_says_why_to_browser_and_terminal(server):
     assert said.splitlines()[0] in server.messages
 
 
+@pytest.mark.long
 def test_a_report_that_cannot_be_made_says_why(server):
     (server.folder / "broken.mcap").write_bytes(b"not a session")
     status, headers, text = server.ask("/sessions/broken.mcap/figure.svg")
