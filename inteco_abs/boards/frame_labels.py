@@ -35,6 +35,8 @@ class BoardProtocol:
     logic: Logic
     settings: Mapping[str, object]
     """Keys of [board] and their values in a profile for this protocol."""
+    replays: bool = True
+    """Whether a driver that repeats a capture's commands writes the same messages."""
 
     @property
     def send(self) -> FrameTable:
@@ -58,8 +60,10 @@ class BoardProtocol:
         """Return the role of a message from the board."""
         return MessageRole.READ if len(message) == self.read.size else MessageRole.OTHER
 
-    def header(self, answer: bytes) -> dict[str, Value]:
-        """Decode the header of a READ answer of any logic. Raises ProtocolError."""
+    def identity_in(self, answer: bytes) -> dict[str, Value] | None:
+        """Return version and name of the logic if the board's message has them. Raises ProtocolError."""
+        if self.role_in(answer) is not MessageRole.READ:
+            return None
         return self.logic.header.decode_some(answer, ("logic_version", "application_name"))
 
     def fields(self, names: Iterable[str]) -> frozenset[str]:

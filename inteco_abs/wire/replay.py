@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 
 from firmware_protocol import FrameTable, ProtocolError
 from firmware_protocol.pwm import PWM_FULL_WIDTH
-from inteco_abs.boards import MessageRole, board_behind, family_speaking, protocol_name, protocol_of
+from inteco_abs.boards import board_behind, family_speaking, protocol_name, protocol_of
 from inteco_abs.config import BoardConfig, RigConfig, load_config, profiles
 from inteco_abs.errors import BoardError, CaptureError, ConfigError, ConfigIssue
 from inteco_abs.signals import BoardFlags, Command
@@ -49,10 +49,14 @@ def replay_wire(capture: Capture, config: RigConfig) -> WireReplay:
     if protocol_name(config.board) != capture.board:
         problem = f"{protocol_name(config.board)}, the capture is of a {capture.board} board; name another profile"
         raise ConfigError([ConfigIssue("board", problem)])
+    protocol = protocol_of(capture.board)
+    if not protocol.replays:
+        problem = f"{protocol.title}: its messages carry challenges and times, so that no driver repeats them; "
+        raise ConfigError([ConfigIssue("board", problem + "inteco-abs replay repeats a session's decisions")])
     numbering = f"pwm{config.board.numbering_pwm}_prescaler" if config.board.numbering_pwm >= 0 else ""
     link = CaptureLink(capture, numbering=numbering)
     trusted = replace(config.board, **_as_signed(capture))
-    if not any(_holds_timer(protocol_of(capture.board).send, frame, trusted) for frame in _sends(capture)[:1]):
+    if not any(_holds_timer(protocol.send, frame, trusted) for frame in _sends(capture)[:1]):
         # recorded by a program without the timer
         trusted = replace(trusted, timer=-1)
     board = board_behind(link, replace(config, board=trusted), link.now_ns)
@@ -75,8 +79,8 @@ def _as_signed(capture: Capture) -> dict[str, Any]:
     """Return the profile's keys with a sign-off for the captured board."""
     protocol = protocol_of(capture.board)
     for record in capture.records:
-        if record.kind is RecordKind.IN and protocol.role_in(record.data) is MessageRole.READ:
-            header = protocol.header(record.data)
+        header = protocol.identity_in(record.data) if record.kind is RecordKind.IN else None
+        if header is not None:
             break
     else:
         raise CaptureError(f"{capture.name} holds no READ answer, so its board is not known")

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from itertools import pairwise
 from statistics import median
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from firmware_protocol.fields import ProtocolError
 from inteco_abs.boards import BoardProtocol, MessageRole, protocol_of
 from inteco_abs.wire.capture import Capture, RecordKind
 
@@ -35,7 +34,7 @@ class CaptureSummary(NamedTuple):
     control_transfers: int
     warnings: tuple[str, ...]
     logic_version: int | None
-    """Version in the first READ answer."""
+    """Version in the first answer that has it."""
     application_name: str
     caution: str
     """Warning if the tables are for another logic; else empty."""
@@ -82,18 +81,10 @@ def caution(capture: Capture) -> str:
 
 def _identity(capture: Capture, protocol: BoardProtocol) -> tuple[int | None, str]:
     for record in capture.records:
-        if record.kind is RecordKind.IN and protocol.role_in(record.data) is MessageRole.READ:
-            return _header(record.data, protocol)
+        found = protocol.identity_in(record.data) if record.kind is RecordKind.IN else None
+        if found is not None:
+            return int(found["logic_version"]), str(found["application_name"])
     return None, ""
-
-
-def _header(frame: bytes, protocol: BoardProtocol) -> tuple[int, str]:
-    version = int.from_bytes(frame[:2], "little")  # words or bytes 0 and 1 in every logic of every board
-    try:
-        values: dict[str, Any] = protocol.read.decode_some(frame, ["application_name"])
-    except ProtocolError:  # a logic whose tables demand another version
-        return version, ""
-    return version, str(values["application_name"])
 
 
 def _timing(times_s: list[float]) -> MessageTiming:

@@ -28,7 +28,7 @@ def test_a_hazard_says_who_does_what_how_soon_and_what_proves_it(row):
     assert row["does"].endswith(".")
     assert row["bound"]
     assert row["tests"] or row.get("inject")
-    for name in row["tests"]:
+    for name in (*row["tests"], *row.get("open_board", {}).get("tests", ())):
         assert (ROOT / name).is_file(), name
 
 

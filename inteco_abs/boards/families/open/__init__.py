@@ -6,6 +6,7 @@ import re
 from typing import Final
 
 from firmware_protocol import Logic, open_board
+from firmware_protocol.fields import Value
 from inteco_abs.boards.families.open.board import OpenBoard
 from inteco_abs.boards.family import BoardFamily
 from inteco_abs.boards.frame_labels import BoardProtocol
@@ -24,6 +25,17 @@ _LOGIC: Final = Logic(
     open_board.QUERY.encode(),
 )
 """The frames of a tick; the others are neither its commands nor its answers."""
+
+
+class OpenProtocol(BoardProtocol):
+    """Messages in which the board's name has a frame of its own."""
+
+    def identity_in(self, answer: bytes) -> dict[str, Value] | None:
+        """Return version and name of the logic from an IDENTITY. Raises ProtocolError for a damaged one."""
+        if answer[1:2] != bytes([open_board.IDENTITY.kind]):
+            return None
+        values = open_board.IDENTITY.decode(answer)
+        return {"logic_version": values["logic_version"], "application_name": values["name"]}
 
 
 def _transport(path: str, config: RigConfig) -> Link:
@@ -46,7 +58,9 @@ FAMILY: Final = BoardFamily(
     driver=OpenBoard,
     mock="inteco_abs.boards.families.open.mock:MOCK",
     host="inteco_abs.boards.families.open.host:HOST",
-    protocols=(BoardProtocol("open-b01", f"open board, {_LOGIC.name}", open_board.LOGIC_VERSION, _LOGIC, {}),),
+    protocols=(
+        OpenProtocol("open-b01", f"open board, {_LOGIC.name}", open_board.LOGIC_VERSION, _LOGIC, {}, replays=False),
+    ),
     unused_wiring=frozenset({"frame_map", "pwm_pins", "pwm_functions"}),
     fast_readings=True,
     tick_hz=tuple(
