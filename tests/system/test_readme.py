@@ -77,6 +77,12 @@ def test_every_command_of_the_readme_runs(main_here, tmp_path):
         run = main_here(*shlex.split(arguments, comments=True))
         assert run.returncode in ends_of(command), f"{command}\n{run.stdout}{run.stderr}"
     assert (tmp_path / "stop.png").is_file()
+    written = {path.name for path in tmp_path.iterdir()} - {"sessions", *FILES}
+    ignored = subprocess.run(
+        ["git", "check-ignore", "--no-index", "--stdin"],
+        cwd=ROOT, input="\n".join(written), capture_output=True, text=True, check=True,
+    ).stdout.split()  # fmt: skip
+    assert set(ignored) == written
 
 
 @pytest.mark.long
