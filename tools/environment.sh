@@ -8,7 +8,7 @@ find_python() {
     for candidate in "${PYTHON:-}" python3 python3.14 python3.13 python3.12 python3.11; do
         [ -n "$candidate" ] || continue
         if "$candidate" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then
-            command -v "$candidate"
+            readlink -f "$(command -v "$candidate")" # that of an activated environment may be about to go
             return
         fi
     done

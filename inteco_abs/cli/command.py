@@ -22,7 +22,7 @@ _VERBS: Final = {
     "Compare and design": ("controllers", "estimators", "sweep", "benchmark", "design", "identify", "paper", "fmu"),
     "Course": ("grade",),
     "Boards and commissioning": ("commission", "panel", "identify-led", "mock-board", "faults", "wire"),
-    "Setup": ("doctor", "config", "profiles", "completion"),
+    "Setup": ("setup", "doctor", "config", "profiles", "completion"),
 }  # fmt: skip
 """Verbs by heading of the help; the module of a verb is named as the verb."""
 _OLD_NAMES: Final = {"blink": "identify-led", "get": "extract", "layout": "viewer-layout", "probe": "commission"}
@@ -34,8 +34,8 @@ _SYNONYMS: Final = {
     **dict.fromkeys(("ls", "find", "search", "runs", "sessions"), "list"),
     **dict.fromkeys(("fit", "estimate"), "identify"),
     **dict.fromkeys(("csv", "convert", "save"), "export"),
-    **dict.fromkeys(("check", "install", "permissions"), "doctor"),
-    "batch": "repeat", "calibrate": "commission", "compare": "diff", "help": "--help",
+    **dict.fromkeys(("install", "permissions", "udev"), "setup"),
+    "batch": "repeat", "calibrate": "commission", "check": "doctor", "compare": "diff", "help": "--help",
     "montecarlo": "sweep", "repair": "recover", "test": "golden test", "tune": "run --tune or design",
     "version": "--version",
 }  # fmt: skip

@@ -55,14 +55,13 @@ def doctor(
     from inteco_abs.boards import check_address, default_profile
     from inteco_abs.config import load_config
     from inteco_abs.experiment import measure_round_trips
-    from inteco_abs.host import CheckResult, Computer, Rating, limits, red, serial_group, udev_rules, worst
+    from inteco_abs.host import CheckResult, Computer, Rating, needed_files, red, worst
     from inteco_abs.host.doctor import examine, write_speed
     from inteco_abs.host.latency import LONGEST_S, SHORTEST_S, examine_wake_ups, judge_round_trips
     from inteco_abs.realtime.processes.round_trips import COUNT
 
-    group = serial_group(Computer())
-    serial = _serial(ftdi_serial, with_rules=printed == "rules")
-    files = {"rules": udev_rules(group, serial), "limits": limits(group)}
+    rules, limits = needed_files(Computer(), _serial(ftdi_serial, with_rules=printed == "rules"))
+    files = {"rules": rules.text, "limits": limits.text}
     if printed:
         if as_json:
             print_json({"schema_version": 1, printed: files[printed]})

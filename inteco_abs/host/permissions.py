@@ -1,4 +1,4 @@
-"""Checks this user's permissions, and prints the two files that grant the missing ones.
+"""What a lab computer needs that a user has not by default: two files and a group. `doctor` checks, `setup` makes it.
 
 Both files use the group that owns serial ports (`dialout`, on some systems `uucp`), so that they also hold for remote
 logins; at the computer itself the tag `uaccess` is enough for the USB board.
@@ -7,7 +7,7 @@ logins; at the computer itself the tag `uaccess` is enough for the USB board.
 from __future__ import annotations
 
 import re
-from typing import Final
+from typing import Final, NamedTuple
 
 from inteco_abs.errors import ConfigError
 from inteco_abs.host.checks import Check, Computer, Judgement, amber, green, red
@@ -23,17 +23,45 @@ PCI_REGISTERS: Final = "resource2"
 _SERIAL_GROUPS: Final = ("dialout", "uucp")
 _SERIAL: Final = re.compile(r"[\w-]{1,32}", re.ASCII)
 _CAP_IPC_LOCK, _CAP_SYS_NICE = 14, 23
-_INSTALL_RULES: Final = (
-    f"inteco-abs doctor --rules | sudo tee {UDEV_FILE} && sudo udevadm control --reload && sudo udevadm trigger"
-)
-INSTALL_FTDI_RULES: Final = (
-    f"inteco-abs doctor --rules --ftdi-serial {{}} | sudo tee {UDEV_FILE} && sudo udevadm control --reload, then plug "
-    "the board in again"
-)
+SET_UP: Final = 'sudo "$(command -v inteco-abs)" setup --apply'
+"""Command that makes what is missing; sudo has another search path."""
+INSTALL_FTDI_RULES: Final = f"{SET_UP} --ftdi-serial {{}}, then plug the board in again"
 """Format with the chip's serial number."""
-_INSTALL_LIMITS: Final = f"inteco-abs doctor --limits | sudo tee {LIMITS_FILE}, then log in again"
+_INSTALL_LIMITS: Final = f"{SET_UP}, then log in again"
 ALLOW_AWAKE: Final = f"install the udev rules ({UDEV_FILE}), which allow writing /dev/cpu_dma_latency"
 PLUG_AGAIN: Final = f"install the udev rules ({UDEV_FILE}), then plug the board in again or restart the computer"
+
+
+class SystemFile(NamedTuple):
+    """A file of the system that this program needs."""
+
+    name: str
+    path: str
+    text: str
+    grants: str
+    """What it is for."""
+
+
+def needed_files(computer: Computer, ftdi_serial: str = "") -> tuple[SystemFile, ...]:
+    """The files of the system that a lab computer needs; without `ftdi_serial`, that of the installed rules is kept."""
+    group = serial_group(computer)
+    serial = ftdi_serial or installed_serial(computer)
+    return (
+        SystemFile("udev rules", UDEV_FILE, udev_rules(group, serial), f"opens the boards to group {group}, and fast"),
+        SystemFile("limits", LIMITS_FILE, limits(group), f"real-time priority and locked memory for group {group}"),
+    )
+
+
+def installed_serial(computer: Computer) -> str:
+    """Serial number of the FTDI chip in the installed rules; empty without one."""
+    serial = re.search(r'ATTRS\{serial\}=="([^"]*)"', computer.text_or(UDEV_FILE.lstrip("/"), ""))
+    return serial[1] if serial else ""
+
+
+def group_members(computer: Computer, group: str) -> set[str]:
+    """Users that /etc/group lists in `group`."""
+    lines = (line.split(":") for line in computer.text_or("etc/group", "").splitlines() if line.count(":") >= 3)
+    return {user for name, _, _, users, *_ in lines if name == group for user in users.split(",") if user}
 
 
 def serial_group(computer: Computer) -> str:
@@ -69,7 +97,7 @@ def udev_rules(group: str, ftdi_serial: str = "") -> str:
     return f"""\
 # {UDEV_FILE}
 # Opens the boards of the Inteco rigs to group {group} and to the user at the computer, and keeps them fast.
-# {_INSTALL_RULES}
+# `inteco-abs doctor --rules` prints this file, `inteco-abs setup` installs it and takes it away.
 
 ACTION=="remove", GOTO="inteco_abs_end"
 
@@ -102,7 +130,7 @@ def limits(group: str) -> str:
     return f"""\
 # {LIMITS_FILE}
 # Lets group {group} run the 2 kHz loop before all other programs, and keep it in memory.
-# {_INSTALL_LIMITS}
+# `inteco-abs doctor --limits` prints this file, `inteco-abs setup` installs it and takes it away.
 @{group} - rtprio 90
 @{group} - memlock unlimited
 """
@@ -158,17 +186,16 @@ def _group(computer: Computer) -> Judgement:
     own = {*status["Groups"].split(), status["Gid"].split()[0]}
     if _group_ids(computer)[name] in own:
         return green(f"in group {name}")
-    return amber(f"not in group {name}, which owns serial ports", f"sudo usermod -aG {name} $USER, then log in again")
+    return amber(f"not in group {name}, which owns serial ports", f"{SET_UP}, then log in again")
 
 
 def _udev_rules(computer: Computer) -> Judgement:
     if not computer.exists("sys"):
         raise FileNotFoundError(computer.root / "sys")
     installed = computer.text_or(UDEV_FILE.lstrip("/"), "")
-    serial = re.search(r'ATTRS\{serial\}=="([^"]*)"', installed)
-    if installed == udev_rules(serial_group(computer), serial[1] if serial else "").strip():
+    if installed == needed_files(computer)[0].text.strip():
         return green("installed")
-    return amber("installed, but not those of this version" if installed else "not installed", _INSTALL_RULES)
+    return amber("installed, but not those of this version" if installed else "not installed", SET_UP)
 
 
 CHECKS: Final[dict[str, Check]] = {

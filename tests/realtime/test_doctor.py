@@ -10,7 +10,7 @@ from inteco_abs.errors import ConfigError
 from inteco_abs.host import doctor
 from inteco_abs.host.checks import CheckResult, Computer, Rating, as_facts, worst
 from inteco_abs.host.doctor import PythonBuild, examine, judge_python, judge_write_speed, python_build, write_speed
-from inteco_abs.host.permissions import LIMITS_FILE, UDEV_FILE, check_serial, limits, serial_group, udev_rules
+from inteco_abs.host.permissions import UDEV_FILE, check_serial, limits, serial_group, udev_rules
 
 CPU = "sys/devices/system/cpu"
 HOST = "sys/devices/pci0000:00/0000:00:14.0"
@@ -164,7 +164,7 @@ CASES = [
     ("priority limit", {}, "green", "rtprio 90", ""),
     ("priority limit", {"proc/self/limits": limits_table("unlimited")}, "green", "rtprio unlimited", ""),
     ("priority limit", {"proc/self/limits": limits_table("90")}, "green", "rtprio 90", ""),
-    ("priority limit", {"proc/self/limits": limits_table("89")}, "red", "rtprio 89", LIMITS_FILE),
+    ("priority limit", {"proc/self/limits": limits_table("89")}, "red", "rtprio 89", "setup --apply"),
     (
         "priority limit",
         {"proc/self/limits": limits_table("0"), "proc/self/status": status(capabilities=1 << 23)},
@@ -172,21 +172,24 @@ CASES = [
     ),
     ("priority limit", {"proc/self/limits": "something else"}, "amber", NOT_KNOWN, "/proc"),
     ("memory limit", {}, "green", "memlock unlimited", ""),
-    ("memory limit", {"proc/self/limits": limits_table(memory="8388608")}, "amber", "memlock 8192 KiB", LIMITS_FILE),
+    (
+        "memory limit", {"proc/self/limits": limits_table(memory="8388608")}, "amber", "memlock 8192 KiB",
+        "setup --apply",
+    ),
     (
         "memory limit",
         {"proc/self/limits": limits_table(memory="0"), "proc/self/status": status(capabilities=1 << 14)},
         "green", "CAP_IPC_LOCK", "",
     ),
     ("group", {}, "green", "in group dialout", ""),
-    ("group", {"proc/self/status": status(groups="1000")}, "amber", "not in group dialout", "usermod -aG dialout"),
+    ("group", {"proc/self/status": status(groups="1000")}, "amber", "not in group dialout", "setup --apply"),
     ("group", {"proc/self/status": status(uid=0, groups="0")}, "green", "root", ""),
     ("group", {"etc/group": "uucp:x:20:\n"}, "green", "in group uucp", ""),
     ("group", {"etc/group": "users:x:20:\n"}, "amber", NOT_KNOWN, "/proc"),
     ("udev rules", {}, "green", "installed", ""),
     ("udev rules", {RULES: udev_rules("dialout", "A6008isP")}, "green", "installed", ""),
-    ("udev rules", {RULES: None}, "amber", "not installed", f"sudo tee {UDEV_FILE}"),
-    ("udev rules", {RULES: udev_rules("dialout") + "# mine\n"}, "amber", "not those of this version", "sudo tee"),
+    ("udev rules", {RULES: None}, "amber", "not installed", "setup --apply"),
+    ("udev rules", {RULES: udev_rules("dialout") + "# mine\n"}, "amber", "not those of this version", "setup --apply"),
     ("board", {}, "green", "RT-DAC/USB2 at USB port 1-2, RT-DAC4/PCI at 0000:04:00.0", ""),
     ("board", NO_USB, "green", "RT-DAC4/PCI at 0000:04:00.0", ""),
     ("board", {**NO_PCI, f"{USB}/manufacturer": "INTECO Ltd."}, "green", "USB port 1-2", ""),
@@ -221,7 +224,7 @@ CASES = [
     ("USB interrupt", {f"{HOST}/msi_irqs/129": None, f"{HOST}/irq": "129"}, "green", "interrupt 129 on CPU 0", ""),
     ("USB interrupt", {f"{HOST}/msi_irqs/129": None}, "amber", NOT_KNOWN, "/sys"),
     ("ModemManager", {}, "green", "not running", ""),
-    ("ModemManager", MODEMS, "amber", "to ttyUSB0", "doctor --rules --ftdi-serial A6008isP | sudo tee"),
+    ("ModemManager", MODEMS, "amber", "to ttyUSB0", "setup --apply --ftdi-serial A6008isP"),
     ("ModemManager", MODEMS | {RULES: udev_rules("dialout", "A6008isP")}, "green", "leaves ttyUSB0 alone", ""),
     ("ModemManager", MODEMS | {RULES: udev_rules("dialout", "A6008isQ")}, "amber", "to ttyUSB0", "A6008isP"),
     ("FTDI latency", {}, "green", "ttyUSB0 1 ms", ""),

@@ -1,5 +1,6 @@
 """What tools/run makes, keeps and says, with a Python that only pretends to install."""
 
+import json
 import os
 import shutil
 import subprocess
@@ -10,7 +11,8 @@ import pytest
 TOOLS = Path(__file__).parents[2] / "tools"
 PYTHON = """#!/bin/sh
 case "$*" in
-    "-m venv "*) mkdir -p "$3/bin" && cp "$0" "$3/bin/python" && printf '#!/bin/sh\\necho ran "$@"\\n' >"$3/bin/inteco-abs" &&
+    "-m venv "*)
+        mkdir -p "$3/bin" && cp "$0" "$3/bin/python" && printf '#!/bin/sh\\necho ran "$@"\\n' >"$3/bin/inteco-abs"
         chmod +x "$3/bin/inteco-abs" ;;
     *"--editable"*) ;;
     "-m pip install"*)
@@ -86,6 +88,21 @@ def test_an_environment_that_cannot_be_renewed_is_moved_aside(clone, tmp_path, w
     (aside,) = clone.folder.glob(".venv/run.before-*")
     assert (aside / "mine.py").exists()
     assert aside.name in renewed.stderr
+
+
+def test_the_container_copies_what_there_is_and_its_last_stage_is_an_ordinary_users():
+    root = TOOLS.parent
+    lines = (root / "Containerfile").read_text().splitlines()
+    stages = [line.split()[3] for line in lines if line.startswith("FROM") and " AS " in line]
+    for line in lines:
+        if line.startswith("COPY"):
+            assert (root / line.split()[1]).exists(), line
+    last = lines[max(at for at, line in enumerate(lines) if line.startswith("FROM")) :]
+    assert "USER lab" in last
+    assert any("--require-hashes" in line and "tools/run.lock" in line for line in last)
+    made = json.loads((root / ".devcontainer" / "devcontainer.json").read_text())
+    assert made["build"]["target"] in stages
+    assert (root / ".devcontainer" / made["build"]["dockerfile"]).resolve() == root / "Containerfile"
 
 
 def test_without_a_network_it_says_so_and_goes_on_later(clone):

@@ -100,6 +100,21 @@ def test_every_command_runs_in_a_fresh_clone(clone, untraced):
 
 
 @pytest.mark.long
+def test_a_bundle_installs_without_a_package_index(clone, tmp_path, untraced):
+    nowhere = {**untraced, "PIP_INDEX_URL": "http://127.0.0.1:9/simple", "HOME": str(tmp_path)}
+    for command, environment in (
+        ("./tools/bundle", untraced),
+        ("tar -C dist -xf dist/inteco-abs-*.tar && dist/inteco-abs-*/install", nowhere),
+        ("~/inteco-abs/bin/inteco-abs run --virtual --seed 1 --out bundled.mcap --json", nowhere),
+    ):
+        run = subprocess.run(
+            ["sh", "-c", command], cwd=clone, env=environment, capture_output=True, text=True, timeout=900, check=False
+        )
+        assert run.returncode == 0, f"{command}\n{run.stdout}{run.stderr}"
+    assert "ddeda0b2ba25" in run.stdout
+
+
+@pytest.mark.long
 @pytest.mark.untraced
 def test_the_figures_in_the_controllers_table_are_those_of_the_program(card):
     page = PAGES[ROOT / "docs/controllers.md"]

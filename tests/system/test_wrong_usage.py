@@ -1,7 +1,7 @@
 """Wrong verbs, options, numbers and their combinations: what the command line alone shows."""
 
 import pytest
-from wrong_inputs import Row, file, ids, session, stdin
+from wrong_inputs import Row, file, folder, ids, session, stdin
 
 PROBE = "commission --yes-read-only"
 DRAFT = ("rig-profile.toml", "rig-profile.results.json")
@@ -47,6 +47,11 @@ ROWS = [
     Row("a serial number for no rules", "doctor --ftdi-serial A1", 2, ("--ftdi-serial",), "only with --rules"),
     Row("a serial number that is empty", "doctor --rules --ftdi-serial ''", 2, ("--ftdi-serial: ''",),
         "1 to 32 letters"),
+    Row("a serial number of no chip", "setup --ftdi-serial 'a b'", 2, ("--ftdi-serial: 'a b'",), "1 to 32 letters"),
+    Row("no such root", "setup --root nowhere", 2, ("--root: nowhere",), "is no folder"),
+    Row("an undo of one user", "setup --undo --user lab", 2, ("--undo: takes back all",), "leave --user"),
+    Row("no such user", "setup --root . --user nemo --apply", 1, ("nemo: no such user",), "name another with --user",
+        (folder("etc"), file("etc/group", "dialout:x:20:\n"), file("etc/passwd", "lab:x:1000:\n"))),
     Row("a duration too short", "doctor --seconds 0.1", 2, ("--seconds: 0.1",), "0.2..60 s"),
     Row("none of a series", "repeat 0", 2, ("'N'", "'0'"), "a whole number in 1..1000"),
     Row("too many of a series", "repeat 5000", 2, ("'5000'",), "a whole number in 1..1000"),
