@@ -4,15 +4,21 @@ The root of the repository is the source folder, so that every link between page
 repository, and README.md is the start page.
 """
 
+import atexit
+import logging
+import os
+import shutil
+import tempfile
 from dataclasses import is_dataclass
 from importlib.metadata import version as version_of
 from pathlib import Path
 
+from docutils import nodes
 from sphinx import addnodes
 
 ROOT = Path(__file__).resolve().parents[2]
 CONTENTS = {
-    "Tutorials": ["docs/tutorials/*.md"],
+    "Tutorials": ["docs/tutorials/*.md", "docs/tutorials/notebooks/*.md"],
     "Guides": [
         "docs/safety.md", "docs/troubleshooting.md", "docs/settings.md", "docs/controllers.md",
         "docs/populations.md", "docs/sweeps.md", "docs/benchmark.md",
@@ -33,10 +39,27 @@ below that."""
 project = "inteco-abs"
 version = release = version_of("inteco-abs")
 root_doc = "README"
-extensions = ["myst_parser", "sphinx.ext.autodoc"]
-include_patterns = ["**.md"]
+extensions = ["myst_nb", "sphinx.ext.autodoc"]  # myst_nb reads Markdown by myst_parser
+include_patterns = ["**.md", "docs/tutorials/notebooks/*.ipynb"]
 exclude_patterns = [".*", "build", "dist", "sessions", "**/node_modules", "docs/source"]
 myst_heading_anchors = 6
+
+nb_execution_mode = "force"
+nb_execution_in_temp = True
+nb_execution_raise_on_error = True
+nb_execution_timeout = 600
+nb_execution_excludepatterns = ["*/[45]-*.ipynb"] if os.environ.get("NOTEBOOKS") == "quick" else []
+"""The notebooks that take longest, which the daily check leaves out."""
+nb_execution_show_tb = True
+nb_merge_streams = True
+logging.getLogger("traitlets").setLevel(logging.WARNING)  # each notebook's start
+
+# kernels without the user's own profile; the warning that each writes about its connection concerns other computers
+PROFILE = Path(tempfile.mkdtemp(prefix="inteco-abs-site-"))
+atexit.register(shutil.rmtree, PROFILE, ignore_errors=True)
+(PROFILE / "profile_default").mkdir()
+(PROFILE / "profile_default/ipython_kernel_config.py").write_text("c.IPKernelApp.log_level = 40\n", encoding="utf-8")
+os.environ |= {"IPYTHONDIR": str(PROFILE), "PYDEVD_DISABLE_FILE_VALIDATION": "1"}
 
 suppress_warnings = ["misc.highlighting_failure"]  # what commands print is in no language
 
@@ -88,7 +111,7 @@ def with_contents(_app, docname, source):
     if docname == root_doc:
         source[0] = "\n\n".join([source[0], *contents()])
     elif docname.endswith("/README"):
-        beside = sorted((ROOT / docname).parent.glob("[!R]*.md"))
+        beside = sorted(each for each in (ROOT / docname).parent.glob("[!R]*") if each.suffix in {".md", ".ipynb"})
         source[0] = f"{source[0]}\n\n{toctree([page.stem for page in beside])}"
 
 
@@ -98,6 +121,24 @@ def folders_as_text(app, doctree):
     for link in list(doctree.findall(addnodes.pending_xref)):
         if link["reftype"] == "myst" and link["reftarget"] and (here / link["reftarget"]).is_dir():
             link.replace_self(link.children)
+
+
+def with_download(app, doctree):
+    """Offer a notebook below its heading as a file, without outputs."""
+    file = f"{app.env.docname}.ipynb"
+    if (ROOT / file).exists():
+        link = addnodes.download_reference(
+            reftarget=f"/{file}", refdoc=app.env.docname, refdomain="", reftype="download"
+        )
+        link += nodes.literal(text=Path(file).name)
+        heading = next(doctree.findall(nodes.title))
+        offer = nodes.paragraph("", "", nodes.Text("Download "), link, nodes.Text(" and run it ("))
+        offer += addnodes.pending_xref(
+            "", nodes.inline(text="how"), reftype="doc", refdomain="std", refdoc=app.env.docname, refexplicit=True,
+            reftarget="/docs/tutorials/notebooks/README", refwarn=True,
+        )  # fmt: skip
+        offer += nodes.Text(").")
+        heading.parent.insert(heading.parent.index(heading) + 1, offer)
 
 
 def without_field_numbers(_app, _what, _name, _subject, _options, lines):
@@ -121,5 +162,6 @@ def setup(app):
     """Sphinx calls it."""
     app.connect("source-read", with_contents)
     app.connect("doctree-read", folders_as_text)
+    app.connect("doctree-read", with_download, priority=100)  # before downloads are collected
     app.connect("autodoc-process-docstring", without_field_numbers)
     app.connect("autodoc-process-signature", without_fields)

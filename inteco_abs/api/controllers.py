@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
+import linecache
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
 from inteco_abs.errors import ConfigError, near_match
@@ -50,11 +53,21 @@ def _of_class(kind: type[Controller]) -> Controllers:
         problem = f"{kind!r}: must be a name, file.py:Class, or a class with update, gains and internals"
         raise ConfigError.of(_OPTION, problem)
     require_controller(_OPTION, kind, kind.__name__)
-    try:
-        source = inspect.getsource(kind).encode()
-    except (OSError, TypeError):  # as at a prompt
-        source = b""
-    return Controllers({kind.__name__: (kind, Origin(source))})
+    return Controllers({kind.__name__: (kind, Origin(_source_of(kind).encode()))})
+
+
+def _source_of(kind: type) -> str:
+    """Source of a class; empty where it is not known, as at a prompt."""
+    with suppress(OSError, TypeError):
+        return inspect.getsource(kind)
+    # before Python 3.13 inspect does not find a class of a notebook's cell, but its methods know the cell
+    for method in filter(inspect.isfunction, vars(kind).values()):
+        cell = "".join(linecache.getlines(method.__code__.co_filename))
+        with suppress(SyntaxError):
+            for node in ast.walk(ast.parse(cell)):
+                if isinstance(node, ast.ClassDef) and node.name == kind.__name__:
+                    return f"{ast.get_source_segment(cell, node)}\n"
+    return ""
 
 
 def user_controllers(names: Sequence[str]) -> tuple[Controllers, dict[str, bytes]]:

@@ -32,6 +32,9 @@ _PANELS: Final = (
     ("torque_demand_nm", "demanded torque [N m]", (-0.5, 12.0)),
     ("brake_request", "requested brake duty", (-0.02, 1.05)),
 )
+_LEGEND_LETTERS: Final = 110
+_HANDLE_LETTERS: Final = 6
+"""Of a line of the legend, and of those what a line's sample takes."""
 _MARGIN_S: Final = 0.1
 _REQUESTS: Final = {"slip": "slip, 1", "torque_demand_nm": "torque, N m", "brake_request": "brake duty, 1"}
 _PHASES: Final = {"spin-up": "SPIN_UP", "braking": "BRAKING", "stopped": "STOPPED"}
@@ -115,7 +118,8 @@ def figure_of_what_if(session: Session, alternatives: Sequence[WhatIfTrace]) -> 
     axes[-1].set_xlim(-_MARGIN_S, float(braking_s[-1]) + _MARGIN_S)  # later, slip is encoder noise
     axes[-1].set_xlabel("time since braking began [s]")
     handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False, fontsize="small")
+    columns = min(max(_LEGEND_LETTERS // (_HANDLE_LETTERS + max(map(len, labels))), 1), 3)
+    figure.legend(handles, labels, loc="outside upper center", ncols=columns, frameon=False, fontsize="small")
     return figure
 
 

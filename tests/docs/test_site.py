@@ -1,5 +1,6 @@
-"""The documentation site: built without a warning, every link followed, and searched in a real Chromium from files."""
+"""The documentation site: built with its notebooks, every link followed, and searched in a real Chromium from files."""
 
+import json
 import os
 import re
 import subprocess
@@ -8,11 +9,17 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
+import nbformat
 import pytest
 from chromium import Browser
+from nbclient import NotebookClient
 
 ROOT = Path(__file__).parents[2]
 TITLE = "inteco-abs"
+NOTEBOOKS = sorted((ROOT / "docs/tutorials/notebooks").glob("*.ipynb"))
+NOTEBOOK = "docs/tutorials/notebooks/1-first-stop"
+LONG = {"4-identify", "5-thousand-rigs"}
+"""Those that the build leaves out with NOTEBOOKS=quick."""
 
 pytestmark = [pytest.mark.xdist_group("browser"), pytest.mark.untraced]
 
@@ -39,6 +46,8 @@ class Page(HTMLParser):
         """Links and loads that lead nowhere; of the outside only the form of the address is looked at."""
         for link in [*self.links, *self.loads]:
             parts = urlsplit(link)
+            if parts.scheme == "data":
+                continue
             if parts.scheme:
                 right = parts.scheme in {"http", "https"} and re.fullmatch(r"[\w.-]+\.\w+(:\d+)?", parts.netloc)
                 if link in self.loads or not (right or link.startswith("mailto:")):
@@ -56,7 +65,8 @@ def site(tmp_path_factory):
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     build = subprocess.run(
         [ROOT / "tools/build_docs", folder],
-        env={**os.environ, "PATH": path}, capture_output=True, text=True, timeout=300, check=False,
+        env={**os.environ, "PATH": path, "NOTEBOOKS": "quick"},
+        capture_output=True, text=True, timeout=900, check=False,
     )  # fmt: skip
     assert build.returncode == 0, build.stdout + build.stderr
     return folder
@@ -75,6 +85,38 @@ def browser(chromium_driver):
 def test_every_link_of_every_page_leads_somewhere_and_nothing_is_loaded_from_elsewhere(pages):
     assert sum(len(page.links) for page in pages.values()) > 1000
     assert {str(path): links for path, page in pages.items() if (links := list(page.broken(pages)))} == {}
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_is_shown_with_what_its_cells_made_and_can_be_downloaded(path, site, pages):
+    page = site / path.relative_to(ROOT).with_suffix(".html")
+    text = page.read_text(encoding="utf-8")
+    (download,) = [link for link in pages[page].links if link.endswith(path.name)]
+    assert (page.parent / download).read_bytes() == path.read_bytes()
+    assert 'class="output stderr' not in text
+    shown = text.count('class="output ')
+    assert shown == 0 if path.stem in LONG else shown >= 5
+    assert (".png" in text) != (path.stem in LONG)
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_is_kept_without_outputs_and_checks_itself(path):
+    notebook = json.loads(path.read_text(encoding="utf-8"))
+    code = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    assert not any(cell["outputs"] or cell["execution_count"] for cell in code)
+    assert sum("assert " in "".join(cell["source"]) for cell in code) >= 2
+    nbformat.validate(notebook)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", sorted(LONG))
+def test_a_notebook_that_takes_longer_runs(name, tmp_path):
+    (path,) = [path for path in NOTEBOOKS if path.stem == name]
+    notebook = nbformat.read(path, 4)
+    NotebookClient(notebook, timeout=900, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
+    assert sum("image/png" in output.get("data", {}) for output in outputs) >= 1
+    assert not any(output.get("name") == "stderr" for output in outputs)
 
 
 def test_a_word_that_is_searched_for_leads_to_its_page(browser, site, tmp_path):
@@ -96,6 +138,6 @@ def test_a_word_that_is_searched_for_leads_to_its_page(browser, site, tmp_path):
 
 @pytest.mark.parametrize("width", [390, 1280])
 def test_a_page_is_no_wider_than_its_window(browser, site, width):
-    for name in ("README", "docs/tutorials/1-first-stop", "docs/api/4-boards", "firmware_protocol/PROTOCOL"):
+    for name in ("README", "docs/tutorials/1-first-stop", "docs/api/4-boards", "firmware_protocol/PROTOCOL", NOTEBOOK):
         browser.show(site / f"{name}.html", width=width)
         assert browser.run("return document.documentElement.scrollWidth") <= width, name

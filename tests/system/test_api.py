@@ -4,6 +4,7 @@ import html
 import importlib.util
 import io
 import json
+import linecache
 import subprocess
 import sys
 
@@ -104,6 +105,20 @@ def test_a_session_replays(stop, own):
     assert own.replay(Bang).differing == 0
     with pytest.raises(ConfigError, match=r"controller: the session was run with the class 'Bang'; pass it"):
         own.replay()
+
+
+def test_a_class_of_a_notebooks_cell_is_kept(rig, tmp_path, monkeypatch):
+    """As IPython runs a cell: in __main__, with its lines in linecache alone."""
+    law = "class Cell(Bang):\n    def update(self, estimate, dt_s):\n        return BrakeDemand(TOP)\n"
+    cell = f"TOP = 0.6\n\n{law}"
+    names = {"__name__": "__main__", "Bang": Bang, "BrakeDemand": BrakeDemand}
+    monkeypatch.setitem(linecache.cache, "<cell 1>", (len(cell), None, cell.splitlines(keepends=True), "<cell 1>"))
+    exec(compile(cell, "<cell 1>", "exec"), names)  # noqa: S102  as IPython does
+    session = rig.run_stop(names["Cell"], out=tmp_path / "cell.mcap")
+    assert session.attachments["controller.py"].decode() == law
+    assert session.replay(names["Cell"]).differing == 0
+    with pytest.raises(ConfigError, match="was run with the class 'Cell'; pass it"):
+        session.replay()
 
 
 def test_replaying_with_another_class_is_warned_of(own):
