@@ -18,7 +18,7 @@
 /* Microseconds since power-up; wraps after 71 minutes. */
 uint32_t hal_clock_us(void);
 
-/* Calls board_tick every `period_us` microseconds from now on, 250 to 10 000. */
+/* Calls board_tick every `period_us` microseconds, 250 to 10 000; for the first time one period from now. */
 void hal_set_tick(uint32_t period_us);
 
 /* Count of a quadrature encoder, 0 to 3: all four edges, two's complement, wraps at 32 bits. The core reads the clock

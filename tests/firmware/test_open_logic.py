@@ -25,6 +25,12 @@ def refusal(answer):
     return values["reason"]
 
 
+def test_a_frame_written_out_by_hand(board):
+    answer = board.asked(bytes.fromhex("A5 06 00 07 DB 0E"))
+    assert answer[:6] == bytes.fromhex("A5 83 2E 07 00 00")
+    assert len(answer) == 52
+
+
 class TestIdentity:
     def test_hello(self, host):
         name, values = host.asked(HELLO, sequence=0xA5)

@@ -1,5 +1,6 @@
 """Logic 0x0111 of the firmware against the Python tables, and against the mock board."""
 
+import pytest
 from benches import SteeredDevice
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
@@ -72,6 +73,34 @@ def _unnamed(frame):
     found = [byte & ~named for byte, named in zip(frame, LOGIC.read.named_bits, strict=True)]
     del found[PINS_END]
     return found
+
+
+VECTORS = {
+    "8-bit, prescaler 44, width 128": ({22: "2C 00 00 00 01"}, {21: "2C 00 00 80 00"}),
+    "12-bit, prescaler 2, width 4095": ({27: "02 00 40 7F 1F"}, {26: "02 00 01 FF 0F"}),
+    "the published lab setting": (
+        {9: "1F 60 60 0C 00", 22: "41 00 40"},
+        {8: "1F 60 30 03 00", 21: "41 00 01"},
+    ),
+}
+"""Bytes of a SEND frame, and of the READ frame then, by their places; as in tests/protocol."""
+
+
+@pytest.mark.parametrize(("sent", "read"), VECTORS.values(), ids=VECTORS)
+def test_vectors(board, sent, read):
+    frame = bytearray(b"\x81" + bytes(149))
+    for place, data in sent.items():
+        frame[place : place + len(bytes.fromhex(data))] = bytes.fromhex(data)
+    board.write(frame)
+    answer = board.asked(b"\x82")
+    assert answer[:8] == bytes.fromhex("11 01 00 42 4E 45 50 4F")  # the name's last character first
+    for place, data in read.items():
+        assert answer[place : place + len(bytes.fromhex(data))] == bytes.fromhex(data)
+
+
+def test_a_counter_at_minus_one(board):
+    board.turn(1, -1)
+    assert board.asked(b"\x82")[49:53] == bytes.fromhex("FF FF FF FF")
 
 
 class TestAsTheTablesSay:
