@@ -274,11 +274,29 @@ class TestPolledCommands:
         assert refused() == [6, 7, 7, 8, 9]
 
     def test_the_numbers_of_reports_begin_at_each_arming(self, host):
-        host.armed()
-        assert [host.commanded(0, 0)["tick"] for _ in range(3)] == [0, 1, 2]
-        host.disarm()
+        host.configure()
+        assert [host.commanded(0, 0)["tick"] for _ in range(2)] == [0, 1]
         host.arm()
+        assert [host.commanded(0, 0)["tick"] for _ in range(3)] == [0, 1, 2]
+
+    def test_and_where_one_ends(self, host, board):
+        host.armed()
+        host.commanded(0, 0)
+        host.disarm()
+        assert [host.commanded(0, 0)["tick"] for _ in range(2)] == [0, 1]
+        host.arm()
+        board.advance(11_000)
+        host.commanded(0, 0)
+        host.asked(CLEAR)
         assert host.commanded(0, 0)["tick"] == 0
+
+    def test_after_arming_no_command_is_in_force(self, host):
+        host.armed()
+        host.commanded(5, 5, sequence=9)
+        host.disarm()
+        assert host.commanded(0, 0, sequence=3)["applied"] == 9
+        host.arm()
+        assert host.commanded(4096, 0)["applied"] == 0
 
 
 class TestTick:
