@@ -161,6 +161,7 @@ def test_a_run_is_seen_to_its_end_and_is_then_in_the_list(server):
     assert server.ask(f"/sessions/{lines[0]['begin']}")[1]["Content-Disposition"] == "attachment"
 
 
+@pytest.mark.long
 def test_a_run_that_cannot_start_says_why_to_browser_and_terminal(server):
     lines = run_to_the_end(server, rig="nosuch:1")
     assert lines[-1] == {"end": 2}
