@@ -350,12 +350,15 @@ def _compared_speeds(panel: Axes, parts: Sequence[_DrawnSession], options: Figur
 
 def _compared_slip(panel: Axes, parts: Sequence[_DrawnSession], _options: FigureOptions) -> None:
     true = _true(parts)
+    references = np.concatenate([part.ticks["slip_reference"] for part in parts])
+    alike = len(np.unique(references[np.isfinite(references)])) <= 1
     for part, looks in _looks(parts):
         rows = part.truth if true else part.ticks
         panel.plot(since_s(rows, part.start_ns), _slip(rows), lw=1.0, **looks)
         time_s = since_s(part.ticks, part.start_ns)
-        panel.plot(time_s, part.ticks["slip_reference"], color="black", lw=0.8, ls=":")
-    panel.get_lines()[-1].set_label("reference")
+        own = "black" if alike else looks["color"]
+        panel.plot(time_s, part.ticks["slip_reference"], color=own, lw=0.8, ls=":")
+    panel.get_lines()[-1].set_label("reference" if alike else "references")
     panel.set_ylabel("slip, true" if true else "slip, estimated")
     _slips(panel, parts)
 

@@ -1,7 +1,9 @@
 """A reference slip that changes while braking: followed, recorded and replayed."""
 
 import json
+import re
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from inteco_abs.analysis import replay_session
 from inteco_abs.analysis.compiled_replay import CompiledReplay
 from inteco_abs.analysis.replay import decisions
 from inteco_abs.config import load_config
-from inteco_abs.control import CONTROLLERS, build_pipeline, control_check, make_controller
+from inteco_abs.control import CONTROLLERS, build_pipeline, control_check, make_controller, reference_function
 from inteco_abs.errors import ConfigError
 from inteco_abs.format import TICK
 from inteco_abs.plugins import Controllers, Origin
@@ -22,6 +24,30 @@ SINE = ("controller.reference_formula=0.2 + 0.05*sin(2*pi*t/0.1) - step(t, 0.15)
 RAMP = ("controller.reference_points=[0.3, 0.1]", "controller.reference_at_rad_s=[20.0, 60.0]")
 QUICK = ("experiment.start_speed_rad_s=70.0", "experiment.idle_s=0.02", "experiment.hold_s=0.05")
 IDEAL_BRAKE = ("controller.name=boundary-layer", "estimator.name=kalman")
+
+
+SETTINGS = Path(__file__).parents[2] / "docs/settings.md"
+TABLE = re.findall(r"^\| (.+) \| (`reference_.*) \|$", SETTINGS.read_text(encoding="utf-8"), re.MULTILINE)
+
+
+@pytest.mark.parametrize(("kind", "cells"), TABLE)
+def test_every_kind_of_reference_on_the_settings_page_can_be_given(kind, cells, tmp_path):
+    lines = re.findall(r"`([^`]+)`", cells)
+    file = tmp_path / "rig.toml"
+    file.write_text("\n".join(["[controller]", *lines]), encoding="utf-8")
+    config = load_config(file, checks=[control_check()])
+    options = [f"controller.{line.replace(' = ', '=', 1)}" for line in lines]
+    assert load_config(settings=options, checks=[control_check()]) == config
+    law = make_controller(config, CONTROLLERS)
+    held = set()
+    for tick in range(1200):
+        law.update(Estimate(100.0 - tick / 15, 150.0 - tick / 10, 0.1, valid=True), 0.0005)
+        held.add(round(reference_function(law)(law, 0.2), 3))
+    assert (len(held) == 1) == (kind == "constant")
+
+
+def test_the_settings_page_has_every_kind():
+    assert len(TABLE) == 7
 
 
 def braking_of(session):
