@@ -3,6 +3,7 @@
 import pytest
 
 from inteco_abs.cli.screens import ascii_wanted, screen_of
+from inteco_abs.cli.terminal import wrapped
 from inteco_abs.config import load_config
 from inteco_abs.realtime.screen import Lines, NoScreen, SafeScreen, StartCheck
 
@@ -86,3 +87,14 @@ def test_lines_print_remarks_and_warnings():
     screen.note("one")
     screen.warn("two")
     assert texts == ["one", "two"]
+
+
+def test_long_lines_break_between_words_and_keep_their_indentation():
+    text = wrapped("\nStep 5, echo: writes PWM settings.\n  Risk: low, nothing is connected to power.", 30)
+    assert text.split("\n") == [
+        "",
+        "Step 5, echo: writes PWM",
+        "settings.",
+        "  Risk: low, nothing is",
+        "  connected to power.",
+    ]
