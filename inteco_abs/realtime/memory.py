@@ -441,6 +441,8 @@ def alive(pid: int) -> bool:
         return False
     try:
         end = os.pidfd_open(pid)
+    except AttributeError:  # macOS
+        return _exists(pid)
     except OSError as error:
         # another error, such as no descriptor left, does not mean that the process has ended
         return error.errno not in _NO_PROCESS and _exists(pid)
