@@ -111,7 +111,9 @@ def with_contents(_app, docname, source):
     if docname == root_doc:
         source[0] = "\n\n".join([source[0], *contents()])
     elif docname.endswith("/README"):
-        beside = sorted(each for each in (ROOT / docname).parent.glob("[!R]*") if each.suffix in {".md", ".ipynb"})
+        text = source[0]  # names the pages in their order
+        beside = [each for each in (ROOT / docname).parent.glob("[!R]*") if each.suffix in {".md", ".ipynb"}]
+        beside.sort(key=lambda page: (text.find(f"({page.name}"), page))
         source[0] = f"{source[0]}\n\n{toctree([page.stem for page in beside])}"
 
 

@@ -168,7 +168,7 @@ class Grade:
         """For a table of many submissions."""
         worst = {each.limit.measure: _number(each.values[each.worst]) for each in self.kept if each.values}
         verdict = {"file": self.file, "exercise": self.exercise.name, "passed": self.passed, "score": self.score}
-        return {**verdict, "seed": self.seed, "missing": "; ".join(self.missing), **worst}
+        return {**verdict, "confined": self.safe, "seed": self.seed, "missing": "; ".join(self.missing), **worst}
 
     def __rich__(self) -> RenderableType:
         """Table of the limits, what is missing, and the score."""

@@ -51,9 +51,9 @@ def test_all_files_of_a_call_get_the_same_rigs_and_a_line_in_the_table(main_here
     assert "not found, or wrong name: at most 0" in silent
     with (tmp_path / "marks.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert [(row["file"], row["passed"], row["seed"]) for row in rows] == [
-        ("good.py", "True", "3"),
-        ("silent.py", "False", "3"),
+    assert [(row["file"], row["passed"], row["confined"], row["seed"]) for row in rows] == [
+        ("good.py", "True", "True", "3"),
+        ("silent.py", "False", "True", "3"),
     ]
     found = json.loads(main_here("grade", "faults", "good.py", "--seed", "3", "--json", check=0).stdout)
     assert found["passed"]
