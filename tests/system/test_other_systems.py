@@ -62,7 +62,8 @@ def test_a_stop_is_recorded_and_replayed_with_the_same_bits_and_the_rest_needs_l
     for one in others[:5]:
         assert one["code"] == 1
         assert f"needs Linux, and this is {system}" in one["text"]
-        assert one["text"].count("\n") <= 2
+        said = [line for line in one["text"].splitlines() if "an earlier run left its ticks" not in line]
+        assert len(said) <= 2
     if system == "win32":
         assert (others[5]["code"], "Windows has no such file names" in others[5]["text"]) == (2, True)
     assert found["board"] == 328
