@@ -122,8 +122,19 @@ class Priors:
         return (self.base.r2 / self.base.r1) ** 2
 
     def values(self, coordinates: Iterable[float]) -> dict[str, float]:
-        """Parameters by name, from the coordinates of the search."""
-        return {each.name: each.value(one) for each, one in zip(self.fit_parameters, coordinates, strict=False)}
+        """Parameters by name, from the coordinates of the search.
+
+        Other radii change the J of wheels whose J1 and J2 are those of the priors. The search keeps J all the same, as
+        all that it finds would have to follow the radii; so the scale has that change, and J1 and Mg, whose priors are
+        absolute, have its inverse.
+        """
+        found = {each.name: each.value(one) for each, one in zip(self.fit_parameters, coordinates, strict=False)}
+        k, ratio = self.base, found["r1/r2"]
+        change = (k.J2 + k.J1 / (ratio * ratio)) / (k.J2 + self.rolling_share * k.J1)
+        found["scale"] *= change
+        found["J1"] /= change
+        found["Mg"] /= change
+        return found
 
     def parameters(self, values: Mapping[str, float], *, scaled: bool = True) -> RigParameters:
         """The rig's constants, with the prior's scale unless `scaled`; the brake map is that of `base`."""

@@ -1,6 +1,7 @@
 """A drawn rig is recorded as by the plan, from a lower speed, and identified."""
 
 import json
+import math
 import re
 import tomllib
 from functools import partial
@@ -15,6 +16,7 @@ from inteco_abs.errors import ConfigError
 from inteco_abs.experiment import Plan, run_stop
 from inteco_abs.identification import chosen, experiments, next_runs, segments
 from inteco_abs.identification import identify as fitted
+from inteco_abs.identification.parameters import ASSUMED, Priors
 from inteco_abs.rig import RigParameters, draw, nominal_brake_map, nominal_parameters, settled_torque
 from inteco_abs.sessions import read_session
 
@@ -60,6 +62,16 @@ def identified(sessions, found):
     report = found.report()
     assert report["converged"]
     return {each["name"]: each for each in report["estimates"]}, out
+
+
+def test_other_radii_leave_the_moments_of_inertia_at_their_assumed_values():
+    base = RigParameters.named("mask")
+    priors = Priors(base, (0.6,), ASSUMED)
+    start = [each.start for each in priors.fit_parameters]
+    start[[each.name for each in priors.fit_parameters].index("r1/r2")] = math.log(0.96)
+    found = priors.parameters(priors.values(start))
+    assert found.r1 / found.r2 == pytest.approx(0.96 * base.r1 / base.r2)
+    assert (found.J1, found.J2, found.Mg) == pytest.approx((base.J1, base.J2, base.Mg))
 
 
 def true_values():
