@@ -57,16 +57,16 @@ _ONSET_SD_S: Final = 0.008
 """Standard deviation of a dead time that was found by its onset."""
 _GROWN: Final = 1.6
 """Mean deviation whose time after that shows the lag: 3 ms without lag, 9 ms for one of 50 ms."""
-_QUICK_GROWTH_S: Final = 0.0065
+_QUICK_GROWTH_S: Final = 0.006
 """That time below which a brake is quick: its lag is then 6.5 times what exceeds 2.7 ms."""
 _LAG_BY_GROWTH: Final = 6.5
 _LEAST_GROWTH_S: Final = 0.0027
 _QUICKLY_NOTICED_S: Final = 0.006
 _NOTICED_BY_LAG: Final = 0.37
 """A quick brake is noticed after 6 ms and this share of its lag."""
-_BRAKE: Final = (4, 5, 9, 10, 11)
-_QUICK_SD: Final = (1.0, 0.34, 0.003, 0.004, 0.3)
-"""Of its torque, excess torque, dead time, lag and its factor in releasing."""
+_BRAKE: Final = (4, 5, 9, 10)
+_QUICK_SD: Final = (1.0, 0.34, 0.003, 0.004)
+"""Of its torque, excess torque, dead time and lag."""
 _QUICK_SHARE: Final = 0.3
 """Standard deviation of its lag as a share, besides."""
 _CAUTION_SD: Final = 0.5
@@ -250,10 +250,10 @@ def _take_for_quick(k: ObserverConstants, s: ObserverState) -> None:
         P[i][i] = elementary.raised(MISLED_SD[i], 2)
     lag_s = max(_LAG_BY_GROWTH * (s.growth_s - _LEAST_GROWTH_S), tuning.shortest_lag_s)
     noticed_s = _QUICKLY_NOTICED_S + _NOTICED_BY_LAG * lag_s
-    x[9], x[10], x[11] = max(SHORTEST_DEAD_TIME_S, s.acted_s - noticed_s), lag_s, 1.0
+    x[9], x[10] = max(SHORTEST_DEAD_TIME_S, s.acted_s - noticed_s), lag_s
     settled, _ = arrived(k.ekf.delay, s.pending, x[9], 0)
     x[4] = settled * (1.0 - elementary.exp(-(noticed_s + s.growth_s) / lag_s))
-    for i in range(5):
+    for i in range(4):
         P[_BRAKE[i]][_BRAKE[i]] = elementary.raised(_QUICK_SD[i], 2)
     P[10][10] += elementary.raised(_QUICK_SHARE * lag_s, 2)
 
