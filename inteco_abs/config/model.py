@@ -123,7 +123,8 @@ class BoardConfig(Section):
     watchdog_contact_pin: Annotated[int, Interval(ge=-1, le=25)] = -1
     """CN1 pin, an input, that is high while the one-shot's contact is closed; a watchdog is used only with it."""
     watchdog_ms: Annotated[int, Interval(ge=2, le=100)] = 20
-    """Open board: it switches its outputs off by itself when no command has come for this long."""
+    """Open board: it switches its outputs off by itself when no command has come for this long, and for four
+    periods of the loop: 40 ms in the panel, whose loop is slower."""
     stop_pins: list[Annotated[int, Interval(ge=0, le=15)]] = field(default_factory=list)
     """Open board: inputs that must be high while outputs are on, such as a second contact of the emergency switch."""
     baud: Annotated[int, Interval(ge=9600, le=12_000_000)] = 1_000_000

@@ -89,6 +89,12 @@ class TestWatchdog:
             wait(bench, 0.001)
             assert bench.device.duties == (0.0, 0.0)
 
+    @pytest.mark.parametrize(("rate_hz", "watchdog_ms"), [(2000, 20), (250, 20), (100, 40), (50, 80)])
+    def test_it_lasts_four_periods_of_a_slow_loop(self, rate_hz, watchdog_ms):
+        bench = OpenBench("board.watchdog_ms=20", f"loop.rate_hz={rate_hz}", "estimator.window_s=0.05")
+        with bench.board:
+            assert status(bench)["watchdog_ms"] == watchdog_ms
+
     def test_a_trip_is_reported_with_its_reason_and_stays(self, bench):
         with bench.board as board:
             bench.exchange(*DRIVE)

@@ -76,10 +76,10 @@ def test_a_trip_ends_the_run_with_its_reason():
             None if data[1] == COMMAND.kind and next(count) > 100 and device.duties != (0.0, 0.0) else write(data)
         )
 
-    settings = ('loop.pace="board"', "board.watchdog_ms=5", "guard.missed_in_a_row=20", "guard.bucket_limit=500")
+    settings = ('loop.pace="board"', "board.watchdog_ms=10", "guard.missed_in_a_row=20", "guard.bucket_limit=500")
     _, reason, detail = stop(*settings, faults=deaf)
     assert reason is Reason.MISSED_EXCHANGES
-    assert detail == "the board has switched its outputs off, as no command had come for 5 ms"
+    assert detail == "the board has switched its outputs off, as no command had come for 10 ms"
 
 
 def test_a_board_without_a_tick_refuses_before_anything_moves():

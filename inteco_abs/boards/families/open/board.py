@@ -28,6 +28,7 @@ from firmware_protocol.open_board import (
     REPORT,
     REPORTED_COUNTERS,
     STATUS,
+    WATCHDOG_MS,
     Message,
     Refused,
     State,
@@ -53,7 +54,10 @@ _MOST_OLD: Final = 1000
 _PERIODS: Final = 2.0
 """Time-out of an exchange in the loop, periods, as of the other boards."""
 _LEAST_TIMEOUT_S: Final = 0.001
+_WATCHDOG_PERIODS: Final = 4
+"""Periods that the watchdog lasts at least: a lost answer costs three ticks."""
 _SECOND_NS: Final = 1_000_000_000
+_MS: Final = 1_000_000
 _CLOCK_NS: Final = _SECOND_NS // CLOCK_HZ
 _DRIFT_PPM: Final = 200
 """Twice the tolerance of a crystal: how fast two clocks may drift apart."""
@@ -98,7 +102,7 @@ class OpenBoard(Board):
         self._mode = MODES.index(wiring.pwm_mode)
         self._full = PWM_FULL_WIDTH[self._mode]
         self._settings = {
-            "watchdog_ms": wiring.watchdog_ms,
+            "watchdog_ms": max(wiring.watchdog_ms, min(-(-_WATCHDOG_PERIODS * period_ns // _MS), WATCHDOG_MS[1])),
             "stop_pins": sum(1 << pin for pin in set(wiring.stop_pins)),
             "pwm_mode": self._mode,
             "pwm_prescaler": wiring.pwm_prescaler,
@@ -222,7 +226,7 @@ class OpenBoard(Board):
 
     def _let_go(self, state: int, trip: int) -> str:
         if state == State.TRIPPED:
-            why = _TRIPS.get(trip, f"for reason {trip}").format(watchdog_ms=self._wiring.watchdog_ms)
+            why = _TRIPS.get(trip, f"for reason {trip}").format(watchdog_ms=self._settings["watchdog_ms"])
             return f"the board has switched its outputs off, {why}"
         return "the board is not armed any more: it was reset, or another program has disarmed it"
 
