@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import IntEnum
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -24,6 +24,9 @@ VENDOR_LOGIC: Final = 0x0111
 VENDOR_NAME: Final = "OPENB"
 """Name of logic 0x0111, by which a program tells the open board from the vendor's."""
 BOARD_NAME: Final = "ABSOPEN"
+SIMULATED_VENDOR_NAME: Final = "ABSIM"
+SIMULATED_BOARD_NAME: Final = "OPENSIM"
+"""Names of images that run with a simulated rig only: those of the mock boards, by which programs know them."""
 BOARD_DATE: Final = "20261124"
 """Day of the firmware's source, which changes with it."""
 
@@ -105,6 +108,12 @@ def _bytes(data: bytes) -> str:
     return "\n".join("    " + " ".join(f"0x{byte:02X}u," for byte in row) for row in rows)
 
 
+def _named(names: tuple[str, str], encode: Callable[[str], bytes]) -> str:
+    """Return rows of a frame with either name."""
+    real, simulated = (_bytes(encode(name)) for name in names)
+    return f"#ifdef SIMULATED_RIG\n{simulated}\n#else\n{real}\n#endif"
+
+
 def _defines(prefix: str, numbers: Mapping[str, str]) -> str:
     return "".join(f"#define {prefix}_{name} {number}\n" for name, number in numbers.items())
 
@@ -115,7 +124,10 @@ def vendor_header() -> str:
     fields = {field.name: field for field in logic.fields}
     direction = fields["pin_direction"]
     inputs = direction.range(direction.read or ())[1]
-    start = rtdac_usb.encode_read({"application_name": VENDOR_NAME, "pin_direction": inputs}, logic=VENDOR_LOGIC)
+    start = _named(
+        (VENDOR_NAME, SIMULATED_VENDOR_NAME),
+        lambda name: rtdac_usb.encode_read({"application_name": name, "pin_direction": inputs}, logic=VENDOR_LOGIC),
+    )
     constants = {
         "DUMMY": f"0x{rtdac_usb.DUMMY[0]:02X}u",
         "SEND": f"0x{rtdac_usb.SEND_COMMAND:02X}u",
@@ -145,7 +157,7 @@ def vendor_header() -> str:
 {places}
 /* READ frame at power-up, of which the rest is zero: logic, name, all pins inputs. */
 static const uint8_t rtdac_usb_start[RTDAC_USB_READ_BYTES] = {{
-{_bytes(start)}
+{start}
 }};
 
 /* Bits of a SEND frame's data bytes that a READ frame repeats. */
@@ -181,18 +193,19 @@ def _enumeration(name: str, values: Iterable[IntEnum]) -> str:
 
 def open_header() -> str:
     """Return the header of the open logic, `open_logic_tables.h`."""
-    identity = open_board.IDENTITY.encode(
-        {
-            "protocol": open_board.PROTOCOL_VERSION,
-            "logic_version": open_board.LOGIC_VERSION,
-            "name": BOARD_NAME,
-            "date": BOARD_DATE,
-            "clock_hz": open_board.CLOCK_HZ,
-            "counters": open_board.COUNTERS,
-            "pwms": open_board.PWMS,
-            "unique_id": "0" * 16,
-        }
-    )
+    values = {
+        "protocol": open_board.PROTOCOL_VERSION,
+        "logic_version": open_board.LOGIC_VERSION,
+        "date": BOARD_DATE,
+        "clock_hz": open_board.CLOCK_HZ,
+        "counters": open_board.COUNTERS,
+        "pwms": open_board.PWMS,
+        "unique_id": "0" * 16,
+    }
+
+    def identity(name: str) -> bytes:
+        return open_board.IDENTITY.encode({**values, "name": name})[: -open_board.CRC_BYTES]
+
     answers = [message.table.size for message in open_board.MESSAGES.values() if not message.from_host]
     _, unique_id = open_board.IDENTITY.table.fields["unique_id"]
     constants = {
@@ -238,7 +251,7 @@ static const uint8_t open_bytes[] = {{{sizes}}};
 {"".join(map(_message, open_board.MESSAGES.values()))}\
 /* IDENTITY without unique id and CRC. */
 static const uint8_t open_identity[OPEN_IDENTITY_BYTES] = {{
-{_bytes(identity[: -open_board.CRC_BYTES])}
+{_named((BOARD_NAME, SIMULATED_BOARD_NAME), identity)}
 }};
 
 #endif

@@ -31,7 +31,11 @@ static const struct place rtdac_usb_timer_value[] = {{66u, 32u}, {71u, 32u}};
 
 /* READ frame at power-up, of which the rest is zero: logic, name, all pins inputs. */
 static const uint8_t rtdac_usb_start[RTDAC_USB_READ_BYTES] = {
+#ifdef SIMULATED_RIG
+    0x11u, 0x01u, 0x00u, 0x4Du, 0x49u, 0x53u, 0x42u, 0x41u, 0x00u, 0xFFu, 0xFFu, 0xFFu, 0x03u,
+#else
     0x11u, 0x01u, 0x00u, 0x42u, 0x4Eu, 0x45u, 0x50u, 0x4Fu, 0x00u, 0xFFu, 0xFFu, 0xFFu, 0x03u,
+#endif
 };
 
 /* Bits of a SEND frame's data bytes that a READ frame repeats. */

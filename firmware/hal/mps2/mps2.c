@@ -44,6 +44,8 @@
 /* To the rig: clock, both widths, flags, levels and directions of the pins. From it: four counts and the pins. */
 #define TWELVE_BITS 1u /* flag of PWM 0; of PWM 1 the next bit */
 #define WANTS_COUNTS 4u
+#define TICK_BEGINS 8u
+#define WANTS_TICKS 0x80000000u /* bit of the pins from the rig: it keeps a record */
 #define TO_RIG_WORDS 5u
 #define FROM_RIG_WORDS 5u
 #define ONE_READING_US 20u /* counters read within this time are latched together */
@@ -164,7 +166,7 @@ void hal_outputs_off(void) {
 
 uint32_t hal_pins(void) {
     read_rig();
-    return (from_rig[4] & ~pin_outputs) | (pin_levels & pin_outputs);
+    return (from_rig[4] & ~WANTS_TICKS & ~pin_outputs) | (pin_levels & pin_outputs);
 }
 
 void hal_set_pins(uint32_t value, uint32_t outputs) {
@@ -225,6 +227,9 @@ static void on_sent(void) {
 
 static void on_tick(void) {
     TIMER_INTERRUPT(TICK_TIMER) = 1u;
+    if ((from_rig[4] & WANTS_TICKS) != 0u) {
+        send_to_rig(TICK_BEGINS);
+    }
     board_tick();
 }
 
@@ -240,6 +245,7 @@ void on_reset(void) {
     TIMER_VALUE(CLOCK_TIMER) = 0xFFFFFFFFu;
     TIMER_CONTROL(CLOCK_TIMER) = TIMER_ENABLE;
     open_rig();
+    read_rig();
     mask_interrupts();
     board_reset();
     UART_DIVISOR = SMALLEST_DIVISOR;

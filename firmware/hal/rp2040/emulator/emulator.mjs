@@ -128,18 +128,17 @@ class Rig {
     this.alarm.schedule(STEP_US * 1000);
   }
 
-  // Tells the rig the duties from here on, and returns the counts `aheadUs` later.
+  // Tells the rig the duties from here on, and returns the counts `aheadUs` later. When the outputs have gone off, it is
+  // first told when the last of them was high.
   exchange(aheadUs) {
-    const { message, answer, chip } = this;
-    const digital = chip.gpio.slice(DIGITAL_PIN, DIGITAL_PIN + DIGITAL_PINS);
-    const bits = (of) => digital.reduce((sum, pin, i) => sum | (of(pin) ? 1 << i : 0), 0);
-    message.writeUInt32LE(Math.floor(chip.clock.nanos / 1000) >>> 0, 0);
-    this.outputs.forEach((output, i) => message.writeUInt16LE(Math.round(output.duty() * DUTY_FULL), 4 + 2 * i));
-    message.writeUInt8(TWELVE_BITS | WANTS_COUNTS, 8);
-    message.writeUInt16LE(aheadUs, 10);
-    message.writeUInt32LE(bits((pin) => pin.outputValue && pin.outputEnable), 12);
-    message.writeUInt32LE(bits((pin) => pin.outputEnable), 16);
-    fs.writeSync(this.line, message);
+    const { outputs, chip, answer } = this;
+    const duties = outputs.map((output) => output.duty());
+    const on = duties.some((duty) => duty > 0);
+    if (this.on && !on) {
+      this.tell(Math.max(...outputs.map((output) => output.fellNs)), duties, TWELVE_BITS, 0);
+    }
+    this.on = on;
+    const driven = this.tell(chip.clock.nanos, duties, TWELVE_BITS | WANTS_COUNTS, aheadUs);
     for (let read = 0; read < answer.length; ) {
       const more = fs.readSync(this.line, answer, read, answer.length - read, null);
       if (more === 0) {
@@ -147,9 +146,24 @@ class Rig {
       }
       read += more;
     }
-    const driven = answer.readUInt32LE(16);
-    digital.forEach((pin, i) => pin.setInputValue(pin.outputEnable ? pin.outputValue : !!((driven >> i) & 1)));
+    const levels = answer.readUInt32LE(16);
+    driven.forEach((pin, i) => pin.setInputValue(pin.outputEnable ? pin.outputValue : !!((levels >> i) & 1)));
     return [0, 4, 8, 12].map((at) => answer.readInt32LE(at));
+  }
+
+  // Sends the rig a message; returns the digital pins.
+  tell(ns, duties, flags, aheadUs) {
+    const { message, chip } = this;
+    const digital = chip.gpio.slice(DIGITAL_PIN, DIGITAL_PIN + DIGITAL_PINS);
+    const bits = (of) => digital.reduce((sum, pin, i) => sum | (of(pin) ? 1 << i : 0), 0);
+    message.writeUInt32LE(Math.floor(ns / 1000) >>> 0, 0);
+    duties.forEach((duty, i) => message.writeUInt16LE(Math.round(duty * DUTY_FULL), 4 + 2 * i));
+    message.writeUInt8(flags, 8);
+    message.writeUInt16LE(aheadUs, 10);
+    message.writeUInt32LE(bits((pin) => pin.outputValue && pin.outputEnable), 12);
+    message.writeUInt32LE(bits((pin) => pin.outputEnable), 16);
+    fs.writeSync(this.line, message);
+    return digital;
   }
 
   step() {
