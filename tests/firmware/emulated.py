@@ -8,11 +8,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+
+from inteco_abs.realtime import LOOP_PRIORITY
 
 ROOT = Path(__file__).parent.parent.parent
 NEEDED = {
@@ -95,6 +97,17 @@ def let_go_at_the_first_tick(last: Change, off: Change, watchdog_us: int, *, at_
     before, tick = off.ticks_us
     in_time = before <= last.clock_us + watchdog_us + AT_ONCE_US
     return in_time and tick <= off.clock_us and came_us + watchdog_us <= off.clock_us + AT_ONCE_US
+
+
+@contextmanager
+def punctual() -> Iterator[None]:
+    """Give this process the priority of a run's loop, where the system allows it."""
+    with suppress(PermissionError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(LOOP_PRIORITY))
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 @contextmanager

@@ -8,11 +8,10 @@ import termios
 import time
 import tty
 from collections import Counter, defaultdict
-from contextlib import suppress
 from itertools import count
 
 import pytest
-from emulated import emulated_board, let_go_at_the_first_tick
+from emulated import emulated_board, let_go_at_the_first_tick, punctual
 
 from firmware_protocol import open_board, rtdac_usb
 from firmware_protocol.open_board import (
@@ -142,11 +141,10 @@ def forked(act, *arguments):
     going, begun = os.pipe()
     pid = os.fork()
     if pid == 0:
-        with suppress(PermissionError):
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
         signal.alarm(GIVES_UP_S)  # were it to wait for an answer that does not come
         try:
-            act(arguments[0], begun, *arguments[1:])
+            with punctual():
+                act(arguments[0], begun, *arguments[1:])
         finally:
             os._exit(1)
     os.close(begun)

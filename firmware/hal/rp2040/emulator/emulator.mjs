@@ -9,12 +9,14 @@
 import fs from 'node:fs';
 import { RP2040, GPIOPinState, ConsoleLogger, LogLevel } from 'rp2040js';
 
+Error.stackTraceLimit = 0; // an empty line is an exception, ten thousand times a second
+
 const BOOT = 0x20041f00; // where the boot ROM puts the first 256 bytes
 const BOOT_BYTES = 256;
 const FLASH = 0x10000000;
 const CYCLE_NS = 8; // at 125 MHz
-const STEP_US = 500;
-const SLICE_NS = 100_000; // between two looks at the host's line
+const STEP_US = 1000;
+const SLICE_NS = 250_000; // between two looks at the host's line
 const PWM_PINS = [16, 18];
 const LONGEST_PERIOD_NS = 400_000; // of the rig's 3.5 kHz it is 286
 const DUTY_FULL = 4095;
