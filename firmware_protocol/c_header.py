@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from firmware_protocol import open_board, rtdac_usb
-from firmware_protocol.fields import Layout, Logic, TableError
+from firmware_protocol.fields import Layout, Logic, TableError, Value
 from firmware_protocol.pwm import PWM_FULL_WIDTH
 
 FOLDER: Final = Path(__file__).parent.parent / "firmware" / "core"
@@ -193,7 +193,7 @@ def _enumeration(name: str, values: Iterable[IntEnum]) -> str:
 
 def open_header() -> str:
     """Return the header of the open logic, `open_logic_tables.h`."""
-    values = {
+    values: dict[str, Value] = {
         "protocol": open_board.PROTOCOL_VERSION,
         "logic_version": open_board.LOGIC_VERSION,
         "date": BOARD_DATE,
