@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, SupportsFloat
 
 from inteco_abs.errors import ConfigError, ConfigIssue, near_match, shortened
 
@@ -64,6 +64,21 @@ STYLES: Final = {
 }  # fmt: skip
 
 
+def within(value: object, least: float, most: float) -> bool:
+    """Whether it is a number in this range."""
+    return isinstance(value, SupportsFloat) and least <= float(value) <= most
+
+
+def range_issues(range_s: object) -> Iterator[ConfigIssue]:
+    """What is wrong with the part of the time that is shown; None is all of it."""
+    if range_s is not None:
+        pair = list(range_s) if isinstance(range_s, Iterable) else []
+        numbers = all(within(each, -math.inf, math.inf) and math.isfinite(each) for each in pair)
+        if len(pair) != 2 or not numbers or not pair[0] < pair[1]:
+            problem = f"{shortened(range_s)}: must be two times that rise, s since braking began"
+            yield ConfigIssue("--range", problem)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FigureOptions:
     """Options of a figure of stops. Raises ConfigError for a value that it cannot have."""
@@ -90,20 +105,18 @@ class FigureOptions:
         for option, value, choices in (("--width", self.width, WIDTHS), ("--style", self.style, STYLES)):
             if value not in choices:
                 yield ConfigIssue(option, f"{value!r}: must be one of {', '.join(choices)}")
-        unknown = [panel for panel in self.panels if panel not in PANELS]
-        if unknown or not self.panels or isinstance(self.panels, str):
+        given: object = self.panels  # a caller's mistake
+        named = list(given) if isinstance(given, Iterable) and not isinstance(given, str) else []
+        unknown = [panel for panel in named if panel not in PANELS]
+        if unknown or not named:
             problem = f"{shortened(self.panels)}: must be one or several of {', '.join(PANELS)}"
             yield ConfigIssue("--panels", problem)
 
     def _numbers(self) -> Iterable[ConfigIssue]:
         size = self.font_size_pt
-        if size is not None and not SMALLEST_PT <= size <= LARGEST_PT:
+        if size is not None and not within(size, SMALLEST_PT, LARGEST_PT):
             yield ConfigIssue("--font-size", f"{size!r}: must be in {SMALLEST_PT:g}..{LARGEST_PT:g} pt")
-        if self.range_s is not None:
-            begin_s, end_s = self.range_s
-            if not (math.isfinite(begin_s) and math.isfinite(end_s) and begin_s < end_s):
-                problem = f"{begin_s:g} {end_s:g}: must be two times that rise, s since braking began"
-                yield ConfigIssue("--range", problem)
+        yield from range_issues(self.range_s)
 
     @property
     def size(self) -> FigureSize:
@@ -149,7 +162,7 @@ def _installed(font: str) -> list[str]:
     if font in _FAMILIES:
         return [next(name for name in _FAMILIES[font] if name in names), _GENERIC[font]]
     if font not in names:
-        hint = near_match(font, names)
+        hint = near_match(str(font), names)
         problem = f"{font}: not an installed font{hint}; serif and sans are there everywhere"
         raise ConfigError.of("--font", problem)
     return [font, "serif" if "serif" in font.lower().replace("sans serif", "") else "sans-serif"]

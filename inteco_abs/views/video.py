@@ -17,6 +17,7 @@ from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, describe_disk
 from inteco_abs.sessions import Session, atomic_write, check_output, session_config
 from inteco_abs.views.comparison import held_spans, labels, start_ns
 from inteco_abs.views.figure import require_matplotlib
+from inteco_abs.views.figure_options import range_issues, within
 
 if TYPE_CHECKING:
     from inteco_abs.views.video_scene import Scene
@@ -62,17 +63,14 @@ class VideoOptions:
             raise ConfigError(issues)
 
     def _mistakes(self) -> Iterable[ConfigIssue]:
-        if not SLOWEST <= self.speed <= FASTEST:
+        if not within(self.speed, SLOWEST, FASTEST):
             yield ConfigIssue("--speed", f"{self.speed!r}: must be in {SLOWEST:g}..{FASTEST:g} times real time")
-        if self.fps is not None and not 1.0 <= self.fps <= MOST_FPS:
+        if self.fps is not None and not within(self.fps, 1.0, MOST_FPS):
             yield ConfigIssue("--fps", f"{self.fps!r}: must be in 1..{MOST_FPS:g} frames per second")
-        if self.height_px is not None and (self.height_px % 2 or not LEAST_PX <= self.height_px <= MOST_PX):
+        height_px = self.height_px
+        if height_px is not None and (not within(height_px, LEAST_PX, MOST_PX) or height_px % 2):
             yield ConfigIssue("--height", f"{self.height_px!r}: must be an even number in {LEAST_PX}..{MOST_PX} pixels")
-        if self.range_s is not None:
-            begin_s, end_s = self.range_s
-            if not (math.isfinite(begin_s) and math.isfinite(end_s) and begin_s < end_s):
-                problem = f"{begin_s:g} {end_s:g}: must be two times that rise, s since braking began"
-                yield ConfigIssue("--range", problem)
+        yield from range_issues(self.range_s)
 
     def frame_s(self, suffix: str) -> float:
         """How long a frame is shown, s."""

@@ -29,6 +29,8 @@ Array = npt.NDArray[Any]
 _BLUE, _RED, _GREEN = PALETTE[:3]
 _INCHES: Final = (12.8, 7.2)
 _POINTS: Final = 1600
+_SPARE_PX: Final = 0.01
+"""Matplotlib cuts sizes to whole pixels, and rounding must not cost one."""
 _SPOKES: Final = 5
 _SPOKE_DEG: Final = 9.0
 _TOP_NM: Final = 10.0
@@ -89,7 +91,10 @@ class Scene:
         self._turn_rad = 2.0 * math.pi / config.encoders.counts_per_turn
         self._road_radius_m = nominal_parameters(config.model).r2
         with rc_context({"font.size": 12.0}):
-            self._figure = Figure(_INCHES, dpi=height_px / _INCHES[1], facecolor="white")
+            dpi = height_px / _INCHES[1]
+            width_px = 2 * round(height_px * _INCHES[0] / _INCHES[1] / 2.0)  # H.264 has even widths
+            size = (width_px + _SPARE_PX) / dpi, (height_px + _SPARE_PX) / dpi
+            self._figure = Figure(size, dpi=dpi, facecolor="white")
             self._canvas = FigureCanvasAgg(self._figure)
             self._moving: list[Artist] = []
             self._wheels(config)

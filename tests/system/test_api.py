@@ -221,7 +221,7 @@ def test_mistakes_are_reported_in_the_words_of_the_call(wrong, error, words, tmp
         (lambda stop: stop.plot(stop), "others: "),
         (lambda stop: stop.plot(style="nature"), "style: 'nature': must be one of plain, ieee"),
         (lambda stop: stop.plot(font_size_pt=99), "font_size_pt: 99: must be in 5..20 pt"),
-        (lambda stop: stop.plot(range_s=(2, 1)), "range_s: 2 1: must be two times that rise"),
+        (lambda stop: stop.plot(range_s=(2, 1)), r"range_s: \(2, 1\): must be two times that rise"),
         (lambda stop: stop.to_pandas("tock"), "table: "),
     ],
 )

@@ -12,7 +12,7 @@ from inteco_abs.views.video import VideoOptions, check_video, write_video
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
-SMALL = {"height_px": 240, "range_s": (0.0, 0.05)}
+SMALL = {"height_px": 300, "range_s": (0.0, 0.05)}
 
 
 def frames_of(path):
@@ -33,7 +33,7 @@ def test_an_mp4_has_the_frames_of_its_part_and_they_move(session, tmp_path):
     assert (codec, rate) == ("h264", 24)
     assert count == len(frames) == math.floor(0.05 / 0.2 * 24.0) + 1
     assert calls == [(number, count) for number in range(1, count + 1)]
-    assert frames[0].shape == (240, 426, 3)
+    assert frames[0].shape == (300, 534, 3)
     left, right = (np.abs(frames[-1].astype(int) - frames[0])[:, part] for part in (slice(200), slice(213, None)))
     assert (left.max(), right.max()) > (100, 100)
 
@@ -44,7 +44,7 @@ def test_a_gif_plays_at_the_speed_that_is_asked_for(session, tmp_path):
         shown_s = gif.info["duration"] * gif.n_frames / 1000.0
         assert gif.info["duration"] == 30
         assert gif.info["loop"] == 0
-        assert gif.size == (426, 240)
+        assert gif.size == (534, 300)
     assert shown_s == pytest.approx(0.05 / 0.1, abs=0.031)
 
 
@@ -64,7 +64,10 @@ def test_without_truth_the_estimate_is_shown_and_without_braking_the_whole(sessi
         ({"fps": 500.0}, r"--fps: 500\.0: must be in 1\.\.120 frames"),
         ({"height_px": 241}, r"--height: 241: must be an even number in 240\.\.2160"),
         ({"height_px": 10}, "--height"),
-        ({"range_s": (1.0, 0.0)}, "--range: 1 0: must be two times that rise"),
+        ({"height_px": "720"}, "--height: '720': must be an even number"),
+        ({"speed": "x"}, "--speed: 'x': must be in"),
+        ({"range_s": 3}, "--range: 3: must be two times"),
+        ({"range_s": (1.0, 0.0)}, r"--range: \(1\.0, 0\.0\): must be two times that rise"),
         ({"range_s": (50.0, 60.0)}, r"--range: 50 60: .*\.mcap lasts from"),
         ({"speed": 1 / 256, "fps": 120.0}, r"--range: \d+ frames: must be at most 20000; choose a part"),
     ],
