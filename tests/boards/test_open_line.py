@@ -146,6 +146,12 @@ def test_without_one_the_ports_that_were_asked_are_named(plugged, silent):
         only_port(BAUD)
 
 
+def test_a_port_that_is_not_there_is_named_with_those_that_are(plugged):
+    plugged(("/dev/ttyACM7", 0x1209), ("/dev/ttyS0", None))
+    with pytest.raises(BoardError, match="nowhere cannot be opened: there is no such port; seen: /dev/ttyACM7"):
+        FramedLine("/nowhere", BAUD)
+
+
 def test_an_address_opens_it(answering):
     path = answering()
     check_address(f"open:{path}")

@@ -6,6 +6,7 @@ import errno
 import os
 import select
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Final
 
@@ -44,7 +45,7 @@ class SerialLink(Link):
     def __init__(self, path: str, timeout_s: float = TIMEOUT_S, quiet_s: float = QUIET_S) -> None:
         self._timeout_s = timeout_s
         self._quiet_s = quiet_s
-        self._port = _open(path, timeout_s)
+        self._port = _open(path, timeout_s, self._seen)
         self._slow = set_latency_timer(path)
         if self._slow:  # too slow for a loop, but a rescue must wait for its answer
             self.timeout_s = timeout_s
@@ -110,6 +111,11 @@ class SerialLink(Link):
         with suppress(OSError):  # it may be gone
             self._port.close()
 
+    @staticmethod
+    def _seen() -> str:
+        """Describe the ports that may be such a board."""
+        return describe_ports(ftdi_ports())
+
     def _drain(self, most_s: float) -> None:
         end = time.monotonic() + most_s
         with suppress(OSError):  # the next exchange fails
@@ -117,7 +123,7 @@ class SerialLink(Link):
                 self._port.read(max(1, self._port.in_waiting))
 
 
-def _open(path: str, timeout_s: float) -> Any:
+def _open(path: str, timeout_s: float, seen: Callable[[], str]) -> Any:
     """Open pyserial's port, raw and exclusive. Raises BoardError."""
     require_posix("a board at a serial port")
     port = None
@@ -130,14 +136,14 @@ def _open(path: str, timeout_s: float) -> Any:
     except (OSError, TerminalError) as error:
         if port is not None:
             port.close()
-        raise BoardError(f"{path} cannot be opened: {_why(path, error)}") from error
+        raise BoardError(f"{path} cannot be opened: {_why(path, error, seen)}") from error
     return port
 
 
-def _why(path: str, error: OSError | TerminalError) -> str:
+def _why(path: str, error: OSError | TerminalError, seen: Callable[[], str]) -> str:
     number = getattr(error, "errno", None)
     if number in {errno.ENOENT, errno.ENXIO, errno.ENODEV}:
-        return f"there is no such port; {describe_ports(ftdi_ports())}"
+        return f"there is no such port; {seen()}"
     if number in {errno.EACCES, errno.EPERM}:
         group = _group(path)
         return f"no permission: its group is {group}; sudo usermod -aG {group} $USER, then log in again"

@@ -49,6 +49,11 @@ class FramedLine(SerialLink):
             self._arrived.extend(self._receiver.feed(data))
         return self._arrived.popleft()
 
+    @staticmethod
+    def _seen() -> str:
+        ports = [port.device for port in list_ports.comports() if port.vid is not None]
+        return f"seen: {', '.join(ports)}" if ports else "no serial port of a USB device"
+
     def _drain(self, most_s: float) -> None:
         super()._drain(most_s)
         self._receiver.drop()
