@@ -8,6 +8,7 @@
 
 #define REGISTER(address) (*(volatile uint32_t *)(address))
 #define NVIC_ENABLE REGISTER(0xE000E100u)
+#define NVIC_DISABLE REGISTER(0xE000E180u)
 #define NVIC_PRIORITY(word) REGISTER(0xE000E400u + 4u * (word))
 
 typedef void (*vector_t)(void);

@@ -134,7 +134,7 @@ int32_t hal_count(unsigned channel) {
 }
 
 void hal_hold_counter(unsigned channel, bool at_zero) {
-    if (at_zero != held[channel]) { /* the encoders' interrupt is out here, as the tick's stands above it */
+    if (at_zero != held[channel]) { /* an edge may come in between, and counts from zero */
         counts[channel] = 0;
         held[channel] = at_zero;
     }
@@ -169,12 +169,15 @@ uint64_t hal_unique_id(void) {
     return unique_id;
 }
 
+/* Only the tick waits: the encoders' edges are closer to each other than a frame takes. */
 void hal_lock(void) {
-    mask_interrupts();
+    NVIC_DISABLE = 1u << TICK_IRQ;
+    __asm__ volatile("dsb\n isb" ::: "memory");
 }
 
 void hal_unlock(void) {
-    unmask_interrupts();
+    __asm__ volatile("" ::: "memory");
+    NVIC_ENABLE = 1u << TICK_IRQ;
 }
 
 /* Counts from the levels before and after: A rises before B when counting up. An edge that was missed makes both change,
