@@ -29,6 +29,11 @@ static inline void wait_for_interrupt(void) {
     __asm__ volatile("wfi" ::: "memory");
 }
 
+/* Sleeps until an interrupt has been handled; not at all if one was since the last time. */
+static inline void wait_for_event(void) {
+    __asm__ volatile("wfe" ::: "memory");
+}
+
 /* From the linker script. The first is no function, but stands in the table of vectors, before them. */
 extern void stack_top(void);
 extern uint32_t data_begin[], data_end[], data_image[], bss_begin[], bss_end[];

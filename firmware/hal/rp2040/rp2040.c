@@ -340,13 +340,12 @@ __attribute__((noinline, noreturn)) static void run(void) {
     PSM_WATCHDOG_SELECT = ALL_BUT_OSCILLATORS;
     WATCHDOG_LOAD = 2u * WATCHDOG_US;
     SET_BITS(WATCHDOG) = WATCHDOG_ENABLE;
+    unmask_interrupts();
     for (;;) {
-        unmask_interrupts();
         board_poll();
         usb_resume();
-        mask_interrupts();
         feed_watchdog();
-        wait_for_interrupt(); /* whatever came since then is pending and ends the wait */
+        wait_for_event();
     }
 }
 
