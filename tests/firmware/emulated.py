@@ -59,12 +59,14 @@ class EmulatedBoard:
         ready = self.process.stdout.readline()
         assert "the emulator is process" in ready
         self._record = record.open(encoding="utf-8")
+        self._begun = ""  # of a line that is being written
         self._changes: list[Change] = []
         self.pid = int(ready.split("process ")[1].split(";")[0])
 
     def changes(self) -> list[Change]:
         """What its outputs did so far."""
-        for line in self._record:  # the emulator writes whole lines
+        *lines, self._begun = (self._begun + self._record.read()).split("\n")
+        for line in lines:
             found = json.loads(line)
             self._changes.append(Change(found["clock_us"], tuple(found["widths"]), tuple(found["ticks_us"])))
         return self._changes
