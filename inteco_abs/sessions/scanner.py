@@ -147,11 +147,13 @@ class Scan:
         while at < self._size:
             block = self._bytes(at, _BLOCK + HEAD.size - 1)
             for match in _ANCHOR.finditer(block):
+                place = at + match.start()
                 _, length = HEAD.unpack_from(block, match.start())
-                self._trials -= HEAD.size + length
+                # a record that leaves the file is refused by its head alone
+                self._trials -= HEAD.size + (length if length <= self._size - place - HEAD.size else 0)
                 if self._trials <= 0:
                     return
-                yield at + match.start()
+                yield place
             at += _BLOCK
 
     def _is_the_end(self, at: int) -> bool:

@@ -69,6 +69,17 @@ def test_damage_in_the_middle_costs_its_own_chunk_only(rescue, container, pieces
     assert recovery.card["lost_ticks"] == 10
 
 
+def test_what_looks_like_records_that_leave_the_file_does_not_end_the_search(rescue, container, pieces):
+    records, chunks = pieces
+    damaged = spoilt(records[chunks[3]])
+    head = bytes([CHUNK]) + (60 << 20).to_bytes(8, "little")
+    records[chunks[3]] = damaged._replace(
+        content=damaged.content[:40] + 4 * head + damaged.content[40 + 4 * len(head) :]
+    )
+    _, session = rescue(joined(container, records))
+    assert session.ticks["tick"].tolist() == [*range(20), *range(30, 60)]
+
+
 def test_first_ticks_that_are_missing_are_counted_from_0(rescue, container, pieces):
     records, chunks = pieces
     records[chunks[1]] = spoilt(records[chunks[1]])
