@@ -18,8 +18,9 @@ pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
 PACKAGE = Path(inteco_abs.__file__).parent
 RUNS_CODE = {"eval", "exec", "compile", "__import__"}
-USERS_OWN_FILE = {"plugins/file.py"}
-"""Where a controller's file is run that the user has named on the command line, or that is kept in his session."""
+USERS_OWN_FILE = {"plugins/file.py", "course/student.py"}
+"""Where a file is run that the user has named on the command line, or that is kept in the user's session; a submission
+to the course in a process that has given up its rights."""
 OWN_SOURCE = {"c_code.py", "machine_code.py"}
 """Which run parts of the source of functions that are imported already."""
 FROM_ITS_PARENT = {"realtime/processes/controller.py"}

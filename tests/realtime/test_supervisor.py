@@ -110,7 +110,7 @@ class TestSnapshot:
             ring.append(tick(number))
         ring.append(tick(5, phase=Phase.BRAKING, slip=0.5))
         memory.histogram.add([1.0, 2.0, 30.0], skipped=4)
-        first = Point(FIRST_NS, 10.0, 20.0, 0.125, Phase.SPIN_UP, 0.2)
+        first = Point(FIRST_NS, 10.0, 20.0, 0.125, Phase.SPIN_UP, 0.2, 0.0, 0.75, 0.25)
         assert supervisor.snapshot() == Snapshot(
             Phase.BRAKING, 6, 2_500_000 * 1e-9, 15.0, 25.0, 0.5, 0.75, 0.25, 4, (3.0, 30.0, 30.0, 30.0), (first,)
         )
