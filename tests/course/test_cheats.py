@@ -129,6 +129,7 @@ def test_neither_memory_nor_files_nor_network_of_the_grader_can_be_reached(tmp_p
     assert not (tmp_path / "written").exists()
 
 
+@pytest.mark.long
 def test_a_plant_of_a_guessed_seed_is_another_rig(graded):
     found = graded(GUESSING, cases=1)
     assert not found.failure

@@ -7,6 +7,7 @@ import pytest
 from inteco_abs import errors
 from inteco_abs.errors import (
     AbsError,
+    AnswerError,
     BoardError,
     CaptureError,
     ConfigError,
@@ -30,6 +31,7 @@ from inteco_abs.signals import BoardFlags, Phase, Reason, Tick
 
 KINDS = (
     AbsError,
+    AnswerError,
     BoardError,
     LinkError,
     NoAnswerError,
