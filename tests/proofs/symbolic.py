@@ -4,6 +4,9 @@ An assignment under a condition keeps the old value where the condition does not
 all its paths. `hazards` collects what could raise. A statement or expression that is not handled here raises
 NotImplementedError. Two lists are taken for different objects.
 
+Methods run on a `Record` of their class. A call of an `Outside` returns any value of a type; in a `try` it may raise,
+and then all that the block assigns is unknown.
+
 Comparisons, min, max, negation, isfinite and assignments of floats are those of IEEE 754; integers have any size.
 `Exact` computes sums, products, quotients and conversions, for terms that are numbers. `Abstract` makes them unknown
 functions of which it assumes only `facts`: a claim about all such functions holds for those of IEEE 754, and the solver
@@ -44,6 +47,24 @@ class Record:
             raise AttributeError(name) from None
 
 
+@dataclass(frozen=True)
+class Outside:
+    """A callable of which nothing is known but the type of its result."""
+
+    returns: object
+
+
+@dataclass(frozen=True)
+class _Method:
+    record: Record
+    function: FunctionType
+
+
+@dataclass(frozen=True)
+class _TypeOf:
+    term: z3.ExprRef
+
+
 @dataclass
 class Row:
     """A list of numbers that keeps its length."""
@@ -53,15 +74,19 @@ class Row:
 
 
 def lift(value):
-    """A number as a term."""
+    """A number as a term; None is 0 among the integers that stand for objects."""
     if isinstance(value, z3.ExprRef):
         return value
+    if value is None:
+        return z3.IntVal(0)
     if isinstance(value, bool):
         return z3.BoolVal(value)
     if isinstance(value, int):
         return z3.IntVal(int(value))
     if isinstance(value, float):
         return z3.FPVal(value, FLOAT)
+    if isinstance(value, str):
+        return z3.StringVal(value)
     raise TypeError(f"{value!r} is not a number")
 
 
@@ -70,13 +95,15 @@ def is_float(value):
 
 
 def unknown(hint, name):
-    """Any value of a type: a number, a row, a named tuple or a dataclass."""
+    """Any value of a type: a number, a row, a tuple or a dataclass; an integer stands for any other object."""
     if is_dataclass(hint):
         hints = get_type_hints(hint)
         return Record(hint, {one.name: unknown(hints[one.name], f"{name}.{one.name}") for one in fields(hint)})
     if get_origin(hint) is list:
         array = z3.Array(name, z3.IntSort(), _sort(get_args(hint)[0]))
         return Row(array, z3.Int(f"{name}.size"))
+    if get_origin(hint) is tuple:
+        return tuple(unknown(each, f"{name}.{i}") for i, each in enumerate(get_args(hint)))
     if hasattr(hint, "_fields"):
         hints = get_type_hints(hint)
         return hint(*(unknown(hints[field], f"{name}.{field}") for field in hint._fields))
@@ -84,7 +111,7 @@ def unknown(hint, name):
 
 
 def _sort(hint):
-    return FLOAT if hint is float else z3.BoolSort() if hint is bool else z3.IntSort()
+    return {float: FLOAT, bool: z3.BoolSort(), str: z3.StringSort()}.get(hint, z3.IntSort())
 
 
 def known(value):
@@ -205,7 +232,21 @@ def facts(name, a, b, result):
 
 @cache
 def _functions(module_source):
-    return {node.name: node for node in ast.parse(module_source).body if isinstance(node, ast.FunctionDef)}
+    """Functions and methods by their qualified names."""
+    found = {}
+    for node in ast.parse(module_source).body:
+        inside = node.body if isinstance(node, ast.ClassDef) else [node]
+        prefix = f"{node.name}." if isinstance(node, ast.ClassDef) else ""
+        found |= {f"{prefix}{each.name}": each for each in inside if isinstance(each, ast.FunctionDef)}
+    return found
+
+
+def _made(kind, values):
+    return kind(*values) if hasattr(kind, "_fields") else kind(values)
+
+
+def _is_stored_name(node):
+    return isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
 
 
 class _Frame:
@@ -217,9 +258,13 @@ class _Frame:
 
 
 class Execution:
-    """Calls functions; `sources` has the text of modules that differs from that on disk."""
+    """Calls functions.
 
-    def __init__(self, arithmetic, sources=()):
+    `sources` has the text of modules that differs from that on disk, `outside` the functions that are not executed,
+    each with the type of its result.
+    """
+
+    def __init__(self, arithmetic, sources=(), outside=()):
         self.arithmetic = arithmetic
         self.hazards = []
         """What would raise: function, description and condition."""
@@ -227,33 +272,41 @@ class Execution:
         """Name, condition, result and place of the facts of each call."""
         self.definitions = []
         """What the results of calls are: a claim that is proven without them holds of any results."""
-        self._sources = dict(sources)
+        self.raised = []
+        """Whether a `try` was left by an exception, for each of them."""
+        self.is_type = {}
+        """Whether a term is of a type, where the source asks."""
+        self._sources, self._outside = dict(sources), dict(outside)
         self._running = []
+        self._tries = 0
+        self._stored = []
         self._new = count()
 
     def call(self, function, *arguments, given=True):
         """What a function returns; what it changes, changes in its arguments."""
         module = sys.modules[function.__module__]
         text = self._sources.get(function.__module__) or inspect.getsource(module)
-        tree = _functions(text)[function.__name__]
-        if tree.decorator_list:
-            raise NotImplementedError(f"{function.__name__} has a decorator")
+        tree = _functions(text)[function.__qualname__]
+        if any(ast.unparse(each) != "property" for each in tree.decorator_list):
+            raise NotImplementedError(f"{function.__qualname__} has a decorator")
         names = [each.arg for each in tree.args.args]
-        frame = _Frame(dict(zip(names, arguments, strict=True)), vars(module))
+        defaults = [self._value(_Frame({}, vars(module)), each, True) for each in tree.args.defaults]
+        values = [*arguments, *defaults[len(defaults) - (len(names) - len(arguments)) :]]
+        frame = _Frame(dict(zip(names, values, strict=True)), vars(module))
         given = lift(given)
-        self._running.append(function.__name__)
+        self._running.append(function.__qualname__)
         first = len(self.arithmetic.facts)
         self._block(frame, tree.body, given)
         self._running.pop()
         result = self._named(frame.result)
-        self.calls.append((function.__name__, given, result, slice(first, len(self.arithmetic.facts))))
+        self.calls.append((function.__qualname__, given, result, slice(first, len(self.arithmetic.facts))))
         return result
 
     def _named(self, result):
         if result is None or isinstance(self.arithmetic, Exact):
             return result
         if isinstance(result, tuple):
-            return tuple(map(self._named, result))
+            return _made(type(result), map(self._named, result))
         result = lift(result)
         name = self._fresh(result.sort())
         self.definitions.append(name == result)
@@ -271,6 +324,8 @@ class Execution:
                 return
             case ast.Expr(value=ast.Call() as call):
                 self._value(frame, call, given)
+            case ast.Try(body=body, handlers=[handler], orelse=orelse, finalbody=[]):
+                self._try(frame, node, body, handler, orelse, given)
             case ast.Assign(targets=targets, value=value):
                 found = self._value(frame, value, given)
                 for target in targets:
@@ -308,10 +363,38 @@ class Execution:
             if isinstance(each, ast.Subscript) and isinstance(each.ctx, ast.Store):
                 row = self._value(frame, each.value, inside)
                 row.array = z3.If(given, self._fresh(row.array.sort()), row.array)
+                self._stored.append((vars(row), "array"))
             elif isinstance(each, ast.Name | ast.Attribute) and isinstance(each.ctx, ast.Store):
                 raise NotImplementedError("a loop that assigns more than items")
         self._block(frame, body, inside)
         del frame.variables[name]
+
+    def _try(self, frame, node, body, handler, orelse, given):
+        """The block may be left anywhere, by any Exception or by SystemExit."""
+        raised, first = z3.And(given, self._fresh(z3.BoolSort())), len(self._stored)
+        self.raised.append(raised)
+        self._tries += 1
+        self._block(frame, body, given)
+        self._tries -= 1
+        inside = list(ast.walk(ast.Module(body, [])))
+        if any(isinstance(each, ast.Return) or _is_stored_name(each) for each in inside):
+            raise NotImplementedError("a try that returns or assigns a variable")
+        for holder, name in self._stored[first:]:
+            before = holder[name]
+            holder[name] = self._merged(raised, self._any_like(before), before)
+        kinds = self._value(frame, handler.type, given)
+        for kind in (Exception, SystemExit):
+            if not issubclass(kind, kinds):
+                self._raises(f"{kind.__name__} escapes", node, raised)
+        if handler.name:
+            frame.variables[handler.name] = z3.IntVal(1)
+        self._block(frame, handler.body, raised)
+        self._block(frame, orelse, z3.And(given, z3.Not(raised)))
+
+    def _any_like(self, value):
+        if isinstance(value, tuple):
+            return _made(type(value), map(self._any_like, value))
+        return self._fresh(lift(value).sort())
 
     def _fresh(self, sort):
         return z3.Const(f"any{next(self._new)}", sort)
@@ -328,9 +411,11 @@ class Execution:
             case ast.Attribute(value=of, attr=name):
                 record = self._value(frame, of, given)
                 record.values[name] = self._merged(given, value, record.values[name])
+                self._stored.append((record.values, name))
             case ast.Subscript(value=of, slice=index):
                 row, i = self._value(frame, of, given), self._index(frame, of, index, given)
                 row.array = self._merged(given, z3.Store(row.array, i, lift(value)), row.array)
+                self._stored.append((vars(row), "array"))
             case _:
                 raise NotImplementedError(ast.unparse(target))
 
@@ -339,7 +424,7 @@ class Execution:
         if old is None or new is old or z3.is_true(given):
             return new
         if isinstance(new, tuple):
-            return type(new)(self._merged(given, *both) for both in zip(new, old, strict=True))
+            return _made(type(new), (self._merged(given, *both) for both in zip(new, old, strict=True)))
         new, old = lift(new), lift(old)
         if new.sort() != old.sort():
             raise TypeError(f"{new.sort()} was {old.sort()}")
@@ -359,7 +444,7 @@ class Execution:
                     return frame.variables[name]
                 return frame.names[name] if name in frame.names else getattr(sys.modules["builtins"], name)
             case ast.Attribute(value=of, attr=name):
-                return getattr(self._value(frame, of, given), name)
+                return self._attribute(self._value(frame, of, given), name, given)
             case ast.Tuple(elts=parts):
                 return tuple(self._value(frame, part, given) for part in parts)
             case ast.Subscript(value=of, slice=index):
@@ -369,6 +454,8 @@ class Execution:
                 return z3.Select(found.array, self._index(frame, of, index, given))
             case ast.Call(func=function, args=arguments, keywords=[]):
                 return self._call(frame, node, function, arguments, given)
+            case ast.Starred(value=value):
+                return self._value(frame, value, given)
             case ast.UnaryOp(op=ast.Not(), operand=operand):
                 return z3.Not(self._truth(self._value(frame, operand, given)))
             case ast.UnaryOp(op=ast.USub(), operand=operand):
@@ -388,6 +475,13 @@ class Execution:
                 parts = [self._value(frame, part, given) for part in (left, *comparators)]
                 return z3.And(*(self._compared(op, *both) for op, both in zip(ops, pairwise(parts), strict=True)))
         raise NotImplementedError(ast.unparse(node))
+
+    def _attribute(self, of, name, given):
+        """A value; for a record's class also its method, or what its property returns."""
+        if not isinstance(of, Record) or name in of.values:
+            return getattr(of, name)
+        found = getattr(of.kind, name)
+        return self.call(found.fget, of, given=given) if isinstance(found, property) else _Method(of, found)
 
     def _short_circuit(self, frame, op, parts, given):
         ends_with = isinstance(op, ast.Or)
@@ -422,6 +516,9 @@ class Execution:
         return z3.fpEQ(self._float(a), self._float(b)) if is_float(a) or is_float(b) else lift(a) == lift(b)
 
     def _compared(self, op, a, b):
+        if isinstance(op, ast.Is | ast.IsNot):
+            found = self._of_type(a.term, b) if isinstance(a, _TypeOf) else lift(a) == lift(b)
+            return found if isinstance(op, ast.Is) else z3.Not(found)
         if isinstance(op, ast.In):
             return z3.Or(*(self._equal(a, each) for each in b))
         if isinstance(op, ast.Eq | ast.NotEq):
@@ -439,11 +536,33 @@ class Execution:
             return self.arithmetic.at_most(a, lift(b), strictly=strictly)
         return a < b if strictly else a <= b
 
+    def _of_type(self, term, kind):
+        return self.is_type.setdefault((str(term), kind), self._fresh(z3.BoolSort()))
+
     def _call(self, frame, node, function, arguments, given):
         called = self._value(frame, function, given)
-        parts = [self._value(frame, each, given) for each in arguments]
-        if isinstance(called, FunctionType):
-            return self.call(called, *parts, given=given)
+        parts = []
+        for each in arguments:
+            part = self._value(frame, each, given)
+            parts += part if isinstance(each, ast.Starred) else [part]
+        if isinstance(called, FunctionType) and called in self._outside:
+            called = Outside(self._outside[called])
+        match called:
+            case Outside(returns):
+                if not self._tries:
+                    self._raises("what is called may raise", node, given)
+                return unknown(returns, f"any{next(self._new)}")
+            case _Method(record, method):
+                return self.call(method, record, *parts, given=given)
+            case FunctionType():
+                return self.call(called, *parts, given=given)
+        if isinstance(called, type) and issubclass(called, tuple):
+            return called(*parts)
+        return self._builtin(node, called, parts, given)
+
+    def _builtin(self, node, called, parts, given):
+        if called is type:
+            return _TypeOf(lift(*parts))
         if called in (min, max):
             first, second = parts
             better = self._compared(ast.Lt(), *((second, first) if called is min else (first, second)))
