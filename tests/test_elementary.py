@@ -186,9 +186,10 @@ EDGES = [
 ]
 
 
-@pytest.mark.parametrize(("function", "arguments", "result"), EDGES)
-def test_limits_and_what_is_undefined(function, arguments, result):
-    assert function(*arguments).hex() == result.hex()  # which distinguishes -0.0 from 0.0
+def test_limits_and_what_is_undefined():
+    for function, arguments, result in EDGES:
+        found = function(*arguments).hex()
+        assert found == result.hex(), (function, arguments)  # which distinguishes -0.0 from 0.0
 
 
 def test_a_whole_power_is_a_product():
@@ -222,6 +223,6 @@ def test_functions_of_the_c_library_are_found(source):
     assert list(of_the_machine(ast.parse(source))) == [1]
 
 
-@pytest.mark.parametrize("path", ENGINE, ids=lambda path: f"{path.parent.name}/{path.name}")
-def test_decisions_and_physics_call_no_function_of_the_c_library(path):
-    assert list(of_the_machine(ast.parse(path.read_text(encoding="utf-8")))) == []
+def test_decisions_and_physics_call_no_function_of_the_c_library():
+    found = {str(path): list(of_the_machine(ast.parse(path.read_text(encoding="utf-8")))) for path in ENGINE}
+    assert {path: lines for path, lines in found.items() if lines} == {}
