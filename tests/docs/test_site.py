@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[2]
 TITLE = "inteco-abs"
 NOTEBOOKS = sorted((ROOT / "docs/tutorials/notebooks").glob("*.ipynb"))
 NOTEBOOK = "docs/tutorials/notebooks/1-first-stop"
-LONG = {"4-identify", "5-thousand-rigs"}
+LONG = {path.stem for path in NOTEBOOKS[1:]}
 """Those that the build leaves out with NOTEBOOKS=quick."""
 
 pytestmark = [pytest.mark.xdist_group("browser"), pytest.mark.untraced]

@@ -23,6 +23,7 @@ from inteco_abs.rig import plant
 from inteco_abs.sessions import TICK, file_writer, provenance, read_session, recover_session
 from inteco_abs.sessions.mcap_writer import McapWriter
 from inteco_abs.signals import Phase
+from tests.commit import drawn_by_the_commit
 from tests.faults.operations import Refusal, Requests, asking
 from tests.faults.stage import SHORTEST, configured
 
@@ -208,12 +209,11 @@ FEWER = 3
 """Requests by which runs of one scene differ: the texts of durations and dates are not always of one length."""
 
 
-def refuse(place: Place, scene: str, ways: int) -> tuple[Counter[str], int, list[str]]:
-    """Every request of a scene refused in so many ways, which go by turns: requests by kind, runs, violations."""
+def refuse(place: Place, scene: str, ways: int, step: int = 1) -> tuple[Counter[str], int, list[str]]:
+    """One request in `step` refused in so many ways, which go by turns: requests by kind, runs, violations."""
     kinds = place.perform(scene).requests.kinds
-    refusals = [
-        Refusal(number, LASTS[(number + way) % len(LASTS)]) for number in range(len(kinds)) for way in range(ways)
-    ]
+    numbers = range(drawn_by_the_commit(step), len(kinds), step)
+    refusals = [Refusal(number, LASTS[(number + way) % len(LASTS)]) for number in numbers for way in range(ways)]
     bad, refused = [], 0
     for refusal in refusals:
         run = place.perform(scene, refusal)

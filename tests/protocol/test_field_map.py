@@ -1,4 +1,3 @@
-
 from firmware_protocol.rtdac_usb2 import (
     READ,
     SEND,
