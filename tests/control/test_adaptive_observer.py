@@ -93,7 +93,7 @@ def test_the_slip_by_a_brake_without_lag_is_known_after_40_ms(rolling, dead_time
 
 
 @pytest.mark.parametrize(("lag_s", "expected_s"), [(1e-6, 0.002), (0.005, 0.006), (0.015, 0.015)])
-def test_the_lag_of_a_quick_brake_shows_in_how_quickly_the_wheel_departs_from_rolling(rolling, lag_s, expected_s):
+def test_lag_of_a_quick_brake_shows_in_how_fast_the_wheel_leaves_rolling(rolling, lag_s, expected_s):
     quick = replace(RigVariation().parameters, c31=1.0 / lag_s)
     run = driven(rolling, RigVariation(quick, brake_dead_time_s=0.005, brake_map="measured"), speed_rad_s=120.0)
     seen = [run.tick(lambda _seen: Command(0.0, 1.0)).outlook for _ in range(70)]

@@ -19,7 +19,7 @@ def seen(slip: float, road_speed: float, *, valid: bool = True) -> Estimate:
 
 
 @given(st.floats(0.0, 1.0), st.floats(5.001, 245.0), st.floats(0.0, 50.0), st.floats(0.0, 50.0))
-def test_the_law_demands_the_torque_of_equation_22_as_a_duty_that_the_brake_can_take(slip, speed, Mk, Mq):
+def test_law_demands_the_torque_of_equation_22_within_the_brakes_duty(slip, speed, Mk, Mq):
     demand = ReachingLaw(SETUP, Mk, Mq).update(seen(slip, speed), PERIOD_S)
     torque = reaching_law_torque(slip, speed, 0.2, Mk, Mq, MODEL)
     assert demand.torque_nm == pytest.approx(torque, rel=1e-9, abs=1e-9)
@@ -54,7 +54,7 @@ def test_the_duty_settles_to_the_demanded_torque():
     assert brake_torque(demand.brake, MASK) == pytest.approx(demand.torque_nm, rel=1e-12)
 
 
-def test_a_demand_above_the_largest_torque_is_the_full_brake_and_a_negative_one_no_brake():
+def test_torque_above_the_largest_is_full_brake_and_below_zero_none():
     law = ReachingLaw(SETUP, 10.0, 4.0)
     full, none = law.update(seen(0.1, 180.0), PERIOD_S), law.update(seen(0.9, 180.0), PERIOD_S)
     assert (full.torque_nm > 9.03, full.brake) == (True, 1.0)

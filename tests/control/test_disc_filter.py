@@ -59,7 +59,7 @@ def test_a_disc_off_centre_is_learnt_in_a_run_up(phase):
 
 
 @pytest.mark.untraced
-def test_of_a_disc_that_is_centred_nothing_is_learnt():
+def test_centred_disc_teaches_the_filter_nothing():
     disc = fresh()
     run_up(disc, off_centre(0.0, counts=0.0), 180.0)
     assert wave(disc) == pytest.approx([0.0] * len(TURN), abs=0.05)

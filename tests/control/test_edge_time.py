@@ -58,7 +58,7 @@ def test_without_stamps_a_quick_wheel_is_seen_as_by_the_moving_window(speed):
 
 
 @pytest.mark.parametrize("speed", [3.14159, 1.2345, 0.41])
-def test_without_stamps_a_slow_wheel_has_the_noise_of_a_period_and_not_of_a_count(speed):
+def test_slow_wheel_without_stamps_has_the_noise_of_a_period_not_of_a_count(speed):
     edges = sampled(EdgeTime(PER_TURN, 0.010), lambda t: speed * t, range(4000))[1000:]
     window = sampled(MovingAverageSpeed(PER_TURN, 20), lambda t: speed * t, range(4000))[1000:]
     assert statistics.fmean(edges) == pytest.approx(speed, rel=0.01)
@@ -72,7 +72,7 @@ def test_samples_beyond_the_highest_rate_make_the_window_shorter():
     assert crowded[50:] == shorter[50:]
 
 
-def test_a_wheel_that_locks_is_limited_at_once_to_one_count_over_the_time_since_the_last():
+def test_locking_wheel_is_at_most_one_count_over_the_time_since_the_last():
     edges = EdgeTime(PER_TURN, 0.010)
     for tick in range(100):
         before = edges.update(tick * PERIOD_NS, 20 * tick)

@@ -42,7 +42,7 @@ def test_a_constant_speed_of_whole_counts_is_exact(name, per_turn):
 
 
 @pytest.mark.parametrize("name", sorted(ESTIMATORS))
-def test_estimates_are_valid_from_the_second_sample_on_and_the_observers_from_the_third(name):
+def test_estimates_are_valid_from_sample_2_and_the_observers_from_sample_3(name):
     estimate, first = estimator(f"estimator.name={name}"), 2 if name.endswith("observer") else 1
     seen = [estimate.update(Sample(k, k * 500_000, PERIOD_S, 7 * k, 9 * k)) for k in range(50)]
     assert seen[0] == Estimate(0.0, 0.0, 0.0, valid=False)

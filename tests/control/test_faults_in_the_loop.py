@@ -84,7 +84,7 @@ def test_a_fault_takes_the_outputs_away_in_time_and_with_its_reason(experiment, 
 
 @pytest.mark.untraced
 @pytest.mark.parametrize("after", [20, 150])
-def test_a_frozen_wheel_encoder_while_braking_is_mistaken_for_a_locked_wheel_and_the_run_still_ends(experiment, after):
+def test_wheel_encoder_frozen_while_braking_looks_locked_and_the_run_ends(experiment, after):
     moments = experiment(*QUICK).run(tamper=Fault(Phase.BRAKING, after, frozen_wheel))
     assert moments[-1].tick.phase is Phase.DONE
     assert all(moment.tick.drive == 0.0 for moment in moments if moment.tick.phase is Phase.BRAKING)

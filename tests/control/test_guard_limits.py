@@ -104,7 +104,7 @@ def test_a_duty_of_a_fifth_drives(duty, tripped):
 
 
 @pytest.mark.parametrize(("late_ns", "tripped"), [(300_000, Reason.NONE), (300_001, FROZEN)])
-def test_more_than_six_counts_that_are_owed_are_too_many(late_ns, tripped):
+def test_more_than_six_missing_road_counts_trip(late_ns, tripped):
     guarded = Counted()
     guarded.turn(100, 100, 60)  # one count in 50 us
     assert guarded.see(late_ns, BRAKE) is tripped
@@ -118,7 +118,7 @@ def test_a_road_slower_than_21_rad_s_owes_nothing():
         assert guarded.turn(road, 0, 4, BRAKE) is tripped
 
 
-def test_a_road_may_lose_in_20_ms_what_the_hardest_stop_and_late_time_stamps_make_of_it(rate_hz):
+def test_deceleration_limit_allows_the_hardest_stop_and_late_stamps(rate_hz):
     def after_a_loss_of(counts):
         guarded = Counted(rate_hz=rate_hz)
         assert guarded.turn(road, road, 100, BRAKE) is Reason.NONE
@@ -159,7 +159,7 @@ def test_without_a_drive_a_wheel_is_compared_with_a_road_from_31_4_rad_s_on(rate
     assert (with_road_at(slow), with_road_at(slow + 1)) == (Reason.NONE, DISAGREE)
 
 
-def test_on_a_slow_road_a_wheel_under_drive_may_be_3_14_rad_s_and_two_counts_ahead(rate_hz):
+def test_driven_wheel_may_lead_a_slow_road_by_3_14_rad_s_and_two_counts(rate_hz):
     def with_wheel_at(counts):
         guarded = Counted(rate_hz=rate_hz)
         return guarded.turn(counts, road, guarded.length + round(0.06 * rate_hz), DRIVE)
@@ -177,7 +177,7 @@ def test_a_wheel_has_50_ms_to_come_back_to_a_slow_road(late_ns, tripped):
     assert guarded.see(late_ns, DRIVE, (400, 200)) is tripped
 
 
-def test_a_wheel_more_than_three_times_ahead_of_the_road_shows_that_the_road_loses_counts():
+def test_wheel_over_three_times_as_fast_as_the_road_shows_lost_road_counts():
     def with_wheel_at(counts):
         return Counted().turn(counts, 10, 150, DRIVE)
 

@@ -104,7 +104,7 @@ def test_nine_misses_fit_into_the_bucket_and_the_tenth_trips():
 
 
 @given(st.lists(exchanges, max_size=120))
-def test_the_bucket_gains_three_for_a_miss_loses_one_for_a_good_exchange_and_never_goes_below_zero(kinds):
+def test_bucket_gains_3_per_miss_and_loses_1_per_success_down_to_zero(kinds):
     at_rest, level, in_a_row = AtRest(), 0, 0
     for kind in kinds:
         bad = kind[0] + kind[1]
@@ -118,7 +118,7 @@ def test_the_bucket_gains_three_for_a_miss_loses_one_for_a_good_exchange_and_nev
 
 
 @pytest.mark.parametrize(("periods", "good"), [(1.5, 3), (math.nextafter(1.5, 0.0), 10)])
-def test_a_sample_half_a_period_late_is_a_miss_whether_or_not_there_was_one_before(periods, good):
+def test_sample_half_a_period_late_is_a_miss_with_or_without_one_before(periods, good):
     guard = Guard(CONFIG)
     samples = [Sample(tick, tick * PERIOD_NS, periods * PERIOD_NS * 1e-9, 0, 0) for tick in range(10)]
     admitted = [guard.admit(Command(0.1, 0.0), sample, SEEN) for sample in samples]

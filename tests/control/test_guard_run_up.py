@@ -66,7 +66,7 @@ def test_too_many_counts_trip_before_braking_begins(scale):
 
 
 @pytest.mark.parametrize("scale", [0.85, 0.95, 1.0, 1.05, 1.2])
-def test_a_scale_within_what_drives_differ_by_passes_and_never_reaches_the_limit(scale):
+def test_scale_within_the_range_of_drives_passes_and_stays_below_the_limit(scale):
     reason, true_rad_s = driven(guarded(), scale)
     assert reason is Reason.NONE
     assert true_rad_s < 245.0
@@ -269,7 +269,7 @@ def test_after_braking_it_is_checked_again_once_the_brake_is_released():
 
 
 @pytest.mark.parametrize("between", [(0.0, 0.0), (1.0, 0.01)])
-def test_no_drive_or_a_brake_that_hardly_acts_ends_a_run_up_so_that_the_next_begins_from_rest(between):
+def test_run_up_after_a_pause_without_drive_or_under_brake_begins_from_rest(between):
     config = load_config(settings=[f"encoders.counts_per_turn={COUNTS}", "loop.rate_hz=2000"])
     judge, angle = judge_of(config, 1.5), 0.0
     for tick in range(300):

@@ -83,7 +83,7 @@ def test_the_over_speed_limit_is_the_configured_one(encoders):
     assert watched.reason is Reason.OVER_SPEED
 
 
-def test_an_unstoppable_drive_never_gets_past_the_limit_by_more_than_a_window_of_acceleration(watched):
+def test_unstoppable_drive_passes_the_limit_by_one_window_at_most(watched):
     speed = 0.0
     while watched.reason is Reason.NONE:
         speed += 100.0 * watched.period_s
@@ -165,7 +165,7 @@ def test_a_road_encoder_that_freezes_early_in_the_spin_up_is_found_by_the_drive(
     assert watched.reason is Reason.ROAD_ENCODER_FROZEN
 
 
-def test_a_road_encoder_that_freezes_on_a_slow_road_after_the_grace_is_found_in_50_ms(watched):
+def test_road_encoder_freezing_after_the_grace_is_found_in_50_ms(watched):
     watched.run_up(15.0, acceleration=30.0)
     assert watched.keep(15.0, 0.0, DRIVE, 2.0) <= 0.053
     assert watched.reason is Reason.ROAD_ENCODER_FROZEN
@@ -317,7 +317,7 @@ def test_a_road_encoder_that_only_dithers_is_found_in_20_ms(watched, command, sp
 
 
 @pytest.mark.parametrize("road_share", [0.0, 0.1])
-def test_a_road_encoder_that_only_dithers_from_rest_on_is_found_before_the_wheel_is_fast(watched, road_share):
+def test_road_encoder_dithering_from_rest_is_found_before_the_wheel_is_fast(watched, road_share):
     speed, ticks = 0.0, 0
     still = watched.encoders.turn(0.0, 0.0)
     while watched.reason is Reason.NONE:
@@ -392,7 +392,7 @@ def test_frozen_and_fast_wheels_are_found_at_other_rates(encoders, rate_hz):
 @example(rate_hz=2000.0, around=[(1, 0), (-1, 0)])
 @example(rate_hz=2000.0, around=[(0, -1), *[(0, 1)] * 10, *[(0, -1)] * 60])
 @example(rate_hz=10_000.0, around=[(0, 0), (0, 0), (0, -1), (0, 1)])
-def test_wheels_that_rest_on_an_edge_are_not_faults_however_their_counts_come_and_go(encoders, rate_hz, around):
+def test_counts_of_wheels_that_rest_on_an_edge_are_no_fault(encoders, rate_hz, around):
     guard = Watched(encoders, f"estimator.window_s={10.0 / rate_hz}", rate_hz=rate_hz).guard
     for tick, (wheel, road) in enumerate(around):
         guard.admit(OFF, Sample(tick, round(tick * 1e9 / rate_hz), 1.0 / rate_hz, wheel, road), SEEN)

@@ -55,7 +55,7 @@ def test_in_the_dead_zone_the_wheel_stands():
     assert set(follow(road(), lambda t: 0.15 * t, 4000)) == {0.0}
 
 
-def test_the_lag_in_a_stop_is_t0_in_the_mean_and_holding_makes_most_of_the_noise():
+def test_mean_lag_in_a_stop_is_t0_and_holding_makes_most_of_the_noise():
     speeds = follow(road(), lambda t: 200.0 * t - 68.0 * t * t, 2000)
     errors = [speed - (200.0 - 136.0 * k * PERIOD_S) for k, speed in enumerate(speeds)][100:]
     assert statistics.fmean(errors) == pytest.approx(136.0 * (T0_S - 0.5 * PERIOD_S) - ZONE_RAD_S, abs=0.02)

@@ -144,7 +144,7 @@ def test_more_friction_than_nominal_loses_the_slip_at_low_speed(ideal_stop):
 
 
 @pytest.mark.parametrize("friction", [0.9, 1.1])
-def test_the_larger_gains_hold_the_slip_against_ten_percent_friction_down_to_20_rad_s(ideal_stop, friction):
+def test_larger_gains_hold_slip_against_ten_percent_friction_to_20_rad_s(ideal_stop, friction):
     assert ideal_stop(friction=friction, Mk=10.0, Mq=4.0).mean_slip(20.0, 60.0) == pytest.approx(0.2, abs=0.01)
     assert ideal_stop(friction=friction).mean_slip(20.0, 60.0) != pytest.approx(0.2, abs=0.02)
 

@@ -121,7 +121,7 @@ class TestSmithRelay:
         released = next(n for n in range(1000) if relay.update(seen(0.0), 0.001).brake == 0.0)
         assert released == pytest.approx(0.2 / 0.011, abs=2)
 
-    def test_of_ticks_faster_than_any_board_samples_the_oldest_are_dropped(self):
+    def test_oldest_of_ticks_faster_than_any_board_samples_are_dropped(self):
         relay = self.make(dead_time_s=0.0)
         demands = [relay.update(seen(1.0), 0.0) for _ in range(20)]
         assert {demand.internals[0] for demand in demands} == {1.0}

@@ -94,7 +94,7 @@ def test_a_driven_rig_has_speeds_and_no_outlook_and_rolls(rolling):
             assert seen.slip < 0.02
 
 
-def test_it_brakes_from_when_the_drive_is_off_until_it_is_on_again_or_the_road_stops(rolling):
+def test_prediction_lasts_from_drive_off_until_drive_on_or_standstill(rolling):
     run = rolling(HARD, 100.0)
     for _ in range(200):
         run.tick(DRIVE)
@@ -112,7 +112,7 @@ def test_it_brakes_from_when_the_drive_is_off_until_it_is_on_again_or_the_road_s
 
 
 @pytest.mark.untraced
-def test_discs_far_off_centre_that_were_learnt_in_the_run_up_do_not_disturb_the_stop(rolling):
+def test_discs_far_off_centre_once_learnt_do_not_disturb_the_stop(rolling):
     disc = EncoderVariation(2048, eccentricity_counts=2.0, eccentricity_phase_rad=1.0, jitter_counts=0.3)
     run = rolling(replace(HARD, wheel_encoder=disc, road_encoder=disc), 150.0)
     for _ in range(1500):

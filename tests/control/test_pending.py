@@ -57,7 +57,7 @@ def test_the_acting_duty_is_the_mean_one_dead_time_earlier(period_s, seed, dead_
 
 
 @given(SEEDS, DEAD_TIMES, st.integers(0, 50))
-def test_what_arrived_in_a_tick_before_is_known_as_far_back_as_the_longest_dead_time(seed, dead_time, ago):
+def test_earlier_arrivals_are_known_as_far_back_as_the_longest_dead_time(seed, dead_time, ago):
     written = History(seed)
     back = min(ago, round(LONGEST_DEAD_TIME_S / PERIOD_S) + 1 - int(dead_time / PERIOD_S))
     assert arrived(written.pending.k, written.pending, dead_time, ago)[0] == pytest.approx(

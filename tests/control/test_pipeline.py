@@ -220,7 +220,7 @@ def test_a_stop_request_at_the_very_first_tick_is_obeyed():
 
 @pytest.mark.parametrize("flag", [BoardFlags.STALE, BoardFlags.SLOW])
 @pytest.mark.parametrize("phase", ACTIVE)
-def test_samples_that_cannot_be_trusted_change_neither_phase_nor_estimate_nor_request(experiment, phase, flag):
+def test_untrusted_samples_change_neither_phase_estimate_nor_request(experiment, phase, flag):
     run = experiment(*QUICK)
     good = next(moment.tick for moment in run.moments() if moment.tick.phase is phase)
     requests = good.drive_request, good.brake_request
@@ -335,7 +335,7 @@ def test_an_estimator_that_raises_ends_the_run_and_its_error_is_kept(call):
     ],
     ids=repr,
 )
-def test_a_controller_that_answers_with_something_else_ends_the_run_instead_of_the_loop(experiment, answer):
+def test_controller_returning_a_wrong_type_ends_the_run_not_the_loop(experiment, answer):
     run = experiment(*QUICK, pipeline=with_controller(lambda _call: answer))
     last = run.run()[-1].tick
     assert last.phase is Phase.FAULT

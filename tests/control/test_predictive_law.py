@@ -82,7 +82,7 @@ def test_the_slip_is_asked_to_move_by_the_law(slip, road_speed):
 
 
 @given(st.floats(0.04, 0.12), st.floats(20.0, 245.0), st.floats(1.1, 4.0))
-def test_the_slip_is_slowed_down_no_harder_than_half_of_what_a_slow_release_allows(slip, road_speed, slowest):
+def test_slip_slows_at_most_half_as_hard_as_a_slow_release_allows(slip, road_speed, slowest):
     held, by_rate, _ = CONTACT.torque(
         slip, 0.0, (1.0 - slip) * MASK.r2 / MASK.r1 * road_speed, road_speed, adhesion(slip, MASK)
     )
@@ -109,7 +109,7 @@ def test_the_branches_of_the_law_meet_in_value_and_slope(road_speed, side):
 
 
 @given(SLIPS, st.floats(20.0, 245.0), st.floats(0.7, 1.3), st.floats(-1.0, 1.0))
-def test_what_the_observer_has_learnt_of_adhesion_and_brake_goes_into_the_torque(slip, road_speed, factor, excess):
+def test_torque_uses_what_the_observer_learnt_of_adhesion_and_brake(slip, road_speed, factor, excess):
     plain = demand_at(outlook(slip, road_speed, adhesion_factor=factor))
     demand = demand_at(outlook(slip, road_speed, adhesion_factor=factor, excess_torque_nm=excess))
     assert demand.torque_nm == pytest.approx(plain.torque_nm - excess, rel=1e-9, abs=1e-9)
@@ -199,7 +199,7 @@ def slip_rates(controller, slips, periods=1):
     return rates
 
 
-def test_the_gain_falls_to_half_with_each_swing_and_comes_back_in_steps_when_the_slip_is_calm():
+def test_gain_halves_with_each_swing_and_recovers_in_steps_when_calm():
     controller, swings = law(), [0.1, 0.26, 0.14, 0.26, 0.14, 0.26, 0.14, 0.26]
     slip_rates(controller, swings[:1])
     for steps, slip in enumerate(swings[1:], 1):
@@ -209,7 +209,7 @@ def test_the_gain_falls_to_half_with_each_swing_and_comes_back_in_steps_when_the
         assert slip_rates(controller, [0.201], 401) == pytest.approx([-0.001 * K / 2**steps], rel=1e-6)
 
 
-def test_no_swing_is_what_stays_on_one_side_or_within_the_band_or_follows_a_reference_that_moves():
+def test_only_crossings_of_the_whole_band_count_as_swings():
     controller = law()
     slip_rates(controller, [0.1, 0.16, 0.1, 0.22, 0.18, 0.22], 100)
     assert slip_rates(controller, [0.201]) == pytest.approx([-0.001 * K], rel=1e-6)

@@ -120,7 +120,7 @@ def test_the_first_tick_of_braking_has_both_outputs_off(nominal):
     assert nominal.requests(Phase.BRAKING)[0].command == Command.SAFE
 
 
-def test_the_drive_is_never_on_outside_spin_up_and_the_brake_never_on_outside_braking_and_stopped(nominal):
+def test_drive_is_on_in_spin_up_only_and_brake_in_braking_and_stopped(nominal):
     for phase, request in nominal.steps:
         assert request.command.drive == 0.0 or phase is Phase.SPIN_UP
         assert request.command.brake == 0.0 or phase in (Phase.BRAKING, Phase.STOPPED)
@@ -140,7 +140,7 @@ def test_while_braking_every_demand_of_the_controller_is_passed_on(nominal):
     assert [request.command.brake for request in nominal.requests(Phase.BRAKING)[1:]] == [d.brake for d in demands]
 
 
-def test_the_controller_is_asked_only_while_braking_with_the_estimate_and_the_time_step(nominal):
+def test_controller_runs_only_while_braking_with_estimate_and_time_step(nominal):
     # asked from the second tick of braking to the first of standstill
     assert len(nominal.controller.seen) == len(nominal.requests(Phase.BRAKING))
     assert {dt_s for _, dt_s in nominal.controller.seen} == {nominal.period_s}
@@ -191,7 +191,7 @@ def test_a_single_wrong_count_does_not_start_the_braking(play):
 
 
 @pytest.mark.parametrize("after", [0, 1, 5, 30])
-def test_a_wrong_count_at_the_beginning_of_the_spin_up_does_not_start_the_braking(play, after):
+def test_wrong_count_at_the_start_of_spin_up_does_not_start_braking(play, after):
     play.reach(Phase.SPIN_UP)
     for _ in range(after):
         play.step(0.0)

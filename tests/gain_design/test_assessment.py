@@ -38,7 +38,7 @@ def number_after(text, words):
     return float(re.search(rf"{re.escape(words)}\s*([-\d.]+)", text)[1])
 
 
-def test_of_good_gains_on_a_rig_that_is_known_well_there_is_nothing_to_say(judge):
+def test_good_gains_on_a_well_known_rig_get_no_advice(judge):
     judgement = judge()
     assert not judgement.advice
     assert not judgement.fails_25
@@ -53,7 +53,7 @@ def test_on_the_way_from_zero_slip_the_torque_peaks_at_the_published_value(judge
     assert way.lowest_torque_nm == 0.0
 
 
-def test_at_the_vendors_duty_limit_reaching_takes_the_published_time_and_it_is_said(judge):
+def test_advice_gives_the_published_reaching_time_at_the_vendors_duty_limit(judge):
     judgement = judge(CAPPED)
     (way,) = judgement.reaching
     assert way.time_s == pytest.approx(0.724, abs=0.003)
@@ -91,7 +91,7 @@ def test_reaching_from_the_reference_takes_no_time(judge):
         ([LAYER, "controller.gains.width=0.3"], 0.0),
     ],
 )
-def test_the_bound_of_20_fits_each_law(judge, settings, bound_s):
+def test_eq20_reaching_bound_fits_each_law(judge, settings, bound_s):
     (way,) = judge(*settings).reaching
     assert way.bound_s == pytest.approx(bound_s)
     assert way.time_s <= way.bound_s + 0.001
@@ -164,7 +164,7 @@ def test_a_brake_that_is_held_in_its_dead_zone_gives_nothing(judge):
     assert {"holding", "saturation", "reaching"} <= {one.about for one in judgement.advice}
 
 
-def test_a_brake_that_cannot_hold_the_slip_of_some_rig_is_said_with_the_duty_that_can(judge):
+def test_advice_names_the_duty_that_holds_where_the_brake_limit_is_too_low(judge):
     (advice,) = about(judge(CAPPED, uncertain=["mu=10%"]), "holding")
     assert "at every speed" in advice.found
     assert "4.84 N m" in advice.found

@@ -80,12 +80,12 @@ STATEMENTS = st.lists(st.sampled_from(KNOWN), unique=True, min_size=1, max_size=
 
 
 @given(STATEMENTS, st.floats(0.02, 0.98))
-def test_26_never_asks_for_less_than_25(statements, slip):
+def test_eq26_never_asks_for_less_than_eq25(statements, slip):
     bounds = AtSlip(box_of(*statements), slip).bounds(SPEEDS)
     assert np.all(bounds.mq_25 <= bounds.mq_26 * (1.0 + ROUNDING) + ROUNDING)
 
 
-def test_26_never_asks_for_less_than_25_over_a_band():
+def test_eq26_never_asks_for_less_than_eq25_over_a_band():
     bounds = worst([AtSlip(box_of("mu=10%", "J1=5%"), slip) for slip in (0.05, 0.2, 0.6)], SPEEDS)
     assert np.all(bounds.mq_25 <= bounds.mq_26)
 
@@ -133,7 +133,7 @@ def test_f_and_g_are_the_slips_derivative_by_the_physics_of_the_drawn_rig(shares
 
 
 @pytest.mark.parametrize("slip", [0.1, 0.2, 0.5])
-def test_the_gain_of_25_is_that_times_the_largest_error_of_the_holding_torque(slip):
+def test_eq25_gain_is_g_times_the_largest_error_of_the_holding_torque(slip):
     at = AtSlip(box_of("mu=15%", "J2=5%", "Mg=5%"), slip)
     nominal = holding_torque(RigVariation(MASK), slip, 71.0)
     extremes = [holding_torque(one.rig, slip, 71.0) for one in at_corners(("mu=15%", "J2=5%", "Mg=5%"))]
@@ -147,7 +147,7 @@ def at_corners(statements):
     return list(box_of(*statements).corners())
 
 
-def test_without_the_assumption_on_g_26_has_no_bound_and_with_a_g_that_may_vanish_neither_has_25():
+def test_eq26_has_no_bound_if_g_errs_by_its_size_and_eq25_none_if_g_vanishes():
     wide = AtSlip(box_of("J1=70%"), 0.2).bounds(SPEEDS)
     assert wide.eps_g[0] > 1.0
     assert math.isinf(wide.mq_26[0])

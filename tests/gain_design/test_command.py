@@ -36,7 +36,7 @@ def design(tmp_path, monkeypatch, capsys):
     return run
 
 
-def test_the_installed_command_ends_with_3_when_there_is_advice_and_with_2_when_it_is_used_wrongly():
+def test_installed_command_exits_3_with_advice_and_2_on_wrong_usage():
     def run(*arguments):
         return subprocess.run([COMMAND, "design", *arguments], capture_output=True, text=True, timeout=60, check=False)
 

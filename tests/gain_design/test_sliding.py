@@ -45,7 +45,7 @@ def ripple(Mq):
 
 
 @pytest.mark.parametrize("mu", [0.9, 1.1])
-def test_with_a_gain_just_above_25_sliding_holds_down_to_the_end(mu):
+def test_gain_just_above_eq25_keeps_sliding_down_to_the_end(mu):
     at = box(mu)
 
     def enough(speed):
@@ -56,7 +56,7 @@ def test_with_a_gain_just_above_25_sliding_holds_down_to_the_end(mu):
 
 
 @pytest.mark.parametrize("mu", [0.9, 1.1])
-def test_with_a_gain_just_below_25_the_slip_runs_away(mu):
+def test_gain_just_below_eq25_lets_the_slip_run_away(mu):
     at = box(mu)
     *_, (_, error) = slide(mu, lambda speed: 0.95 * needed(at, speed))
     assert abs(error) > 0.03
@@ -64,7 +64,7 @@ def test_with_a_gain_just_below_25_the_slip_runs_away(mu):
 
 @pytest.mark.parametrize("mu", [0.9, 1.1])
 @pytest.mark.parametrize("Mq", [1.0, 4.0])
-def test_with_a_constant_gain_sliding_is_lost_where_25_fails(mu, Mq):
+def test_constant_gain_loses_sliding_where_eq25_fails(mu, Mq):
     at = box(mu)
     ((_, predicted),) = where_lost(lambda speeds: Mq - at.bounds(speeds).mq_25, np.linspace(10.0, 180.0, 171))
     lost = next(speed for speed, error in slide(mu, lambda _: Mq) if abs(error) > ripple(Mq))
@@ -72,7 +72,7 @@ def test_with_a_constant_gain_sliding_is_lost_where_25_fails(mu, Mq):
 
 
 @pytest.mark.parametrize("mu", [0.9, 1.1])
-def test_a_gain_that_grows_as_1_over_the_speed_holds_where_a_constant_one_does_not(mu):
+def test_gain_growing_as_1_over_the_speed_holds_where_a_constant_one_fails(mu):
     def grown(speed):
         return 72.0 / speed
 

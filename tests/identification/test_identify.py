@@ -179,7 +179,7 @@ def test_wrong_usage_says_what_to_do(arguments, message):
         identify(*arguments)
 
 
-def test_the_plan_is_recorded_run_by_run_and_ends_with_the_first_that_is_stopped(tmp_path, capsys):
+def test_plan_is_recorded_run_by_run_and_ends_with_the_first_stopped_run(tmp_path, capsys):
     late = ("--set", "experiment.spin_up_timeout_s=0.1")
     assert identify("--plan", "--virtual", *late, "-o", tmp_path) == 5
     assert [file.name for file in tmp_path.iterdir()] == ["coast.mcap"]
