@@ -92,14 +92,14 @@ def test_the_profile_of_a_real_board_is_strict_and_unsigned():
 
 
 @pytest.mark.parametrize("name", [name for name in profiles() if not name.startswith(("sim_", "usb2_tras"))])
-def test_a_real_boards_guard_tolerates_a_stall_of_3_ms_and_acts_before_a_loop_counts_as_hung(name):
+def test_guard_of_a_real_board_tolerates_3_ms_and_trips_before_a_hang_counts(name):
     config = load_config(settings=[f"profile={name}"])
     in_a_row_s = config.guard.missed_in_a_row / config.loop.rate_hz
     assert 0.006 < in_a_row_s <= config.guard.silence_s / 2
     assert config.guard.bucket_limit / 3 >= config.guard.missed_in_a_row
 
 
-def test_a_setting_is_above_the_file_the_file_above_the_profile_the_profile_above_the_defaults(written):
+def test_settings_precede_file_then_profile_then_defaults(written):
     file = written("profile = 'usb2_generic_0103'\n[guard]\nbrake_limit = 0.5\nover_speed_rad_s = 200.0\n")
     config = load_config(file, ["guard.over_speed_rad_s=198"])
     assert config.guard.over_speed_rad_s == 198.0
@@ -250,7 +250,7 @@ def test_five_mistakes_are_reported_with_key_value_and_allowed_range(written):
     }
 
 
-def test_the_text_of_the_error_names_every_mistake_on_a_line_and_that_nothing_was_started():
+def test_error_lists_every_mistake_and_says_that_nothing_was_started():
     with pytest.raises(ConfigError) as caught:
         load_config(settings=["guard.brake_limit=2", "experiment.hold_s=11"])
     first, *others = str(caught.value).splitlines()
@@ -636,7 +636,7 @@ def test_a_mistake_in_a_file_names_the_file_and_the_line_beside_the_key(written,
         load_config(file, checks=[control_check()])
 
 
-def test_a_mistake_in_a_profile_file_names_it_unless_the_file_or_the_command_line_has_the_key(tmp_path, written):
+def test_mistake_names_the_profile_unless_file_or_command_line_set_the_key(tmp_path, written):
     profile = tmp_path / "lab.toml"
     profile.write_text("[board]\nlogic_version = 1\n[guard]\nbrake_limit = 7\n")
     named = f'profile = "{profile}"\n'

@@ -344,7 +344,7 @@ class TestEvidence:
         assert "two-rotor" in opened(config).read_only_because
 
 
-def test_the_profile_of_the_unknown_abs_logic_begins_from_what_the_known_rig_logics_share():
+def test_unknown_abs_logic_profile_begins_from_what_known_logics_share():
     board = load_config(profile="usb2_abs_candidate").board
     assert (board.frame_map, board.pwm_pins, board.pwm_functions) == ("abs", [19, 23], [])
     assert (board.constants, board.timer) == ({"pwm_thermal_flags": 3}, 0)

@@ -42,7 +42,7 @@ def test_an_unknown_word_moved_by_a_slider_comes_first():
     assert last.alone == pytest.approx(87 / 99)
 
 
-def test_of_two_equal_candidates_the_unknown_one_comes_first():
+def test_unknown_candidate_comes_first_of_two_equal_ones():
     frames = [encode_send({}) for _ in range(50)]
     frames[10:] = [with_word(frame, 22, 5) for frame in frames[10:]]
     frames[20:] = [with_word(frame, 225, 5) for frame in frames[20:]]

@@ -85,9 +85,7 @@ class TestExchange:
         assert [s.dt_s for s in samples] == [bench.config.period_ns / 1e9, *differences]
 
     @pytest.mark.parametrize(("duration", "flags"), [(0.0, 0), (1.0, 0), (1.01, BoardFlags.SLOW), (9, BoardFlags.SLOW)])
-    def test_an_exchange_that_takes_longer_than_a_period_is_slow_and_its_counts_are_good(
-        self, new_bench, duration, flags
-    ):
+    def test_exchange_longer_than_a_period_is_slow_and_its_counts_are_good(self, new_bench, duration, flags):
         bench = new_bench()
         with bench.board:
             before = bench.roll()

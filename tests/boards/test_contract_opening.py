@@ -91,7 +91,7 @@ class TestOpening:
         assert bench.link.closed
         assert not bench.acts
 
-    def test_a_board_that_keeps_its_outputs_on_is_not_opened_and_names_the_emergency_switch(self, new_bench, both_on):
+    def test_board_that_keeps_outputs_on_is_refused_with_the_emergency_switch(self, new_bench, both_on):
         bench = new_bench(earlier=both_on)
         bench.ignore_commands()
         with pytest.raises(UnsafeError, match="emergency switch"):

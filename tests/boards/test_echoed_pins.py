@@ -97,7 +97,7 @@ def test_the_watchdogs_pin_is_an_output_and_its_contact_an_input(new_usb2_bench)
     assert not sent["pin_mode"] & (1 << 17 | 1 << 9)
 
 
-def test_the_motors_lose_their_power_50_ms_after_the_last_pulse_regardless_of_what_the_host_does(new_pins_bench):
+def test_motors_lose_power_50_ms_after_the_last_pulse_for_any_host(new_pins_bench):
     bench = new_pins_bench(*WATCHED)
     seen = []
     bench.device._observe = seen.append

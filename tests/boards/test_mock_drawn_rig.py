@@ -124,7 +124,7 @@ def test_a_step_of_the_8_bit_pwm_is_a_step_of_the_rigs(new_mock, width):
 
 
 @given(width=st.integers(0, 4095))
-def test_of_the_12_bit_pwm_the_rig_takes_255_steps_rounded_down(new_mock, width):
+def test_rig_takes_255_steps_of_the_12_bit_pwm_rounded_down(new_mock, width):
     mock = new_mock(RIG, "board.pwm_mode=12-bit")
     mock.send(**PINS, pwm1_mode=1, pwm1_width=width)
     rig = replace(draw("hard", 17), brake_pwm_steps=0)

@@ -161,7 +161,7 @@ def test_velocities_are_instantaneous(mock):
     assert mock.read(ROAD_VELOCITY) > 0
 
 
-def test_the_resistors_are_in_series_until_the_wheel_is_fast_and_again_once_it_is_slow(mock):
+def test_resistors_are_in_series_except_while_the_wheel_is_fast(mock):
     seen = []
     for lines in (0, 140, 149, 151, 145, 141, 139, 145, 151):
         mock.device.plant.road_speed = (lines + 0.5) / (1024 * 0.005) * 2 * math.pi

@@ -63,7 +63,7 @@ def test_a_ticks_three_messages_come_out_of_every_monitor_and_container(imported
     assert seen(capture) == [(RecordKind.OUT, 2, SEND), (RecordKind.OUT, 2, REQUEST), (RecordKind.IN, 0x84, ANSWER)]
 
 
-def test_a_message_out_has_the_time_of_handing_over_and_an_answer_that_of_coming_back(imported, monitor, container):
+def test_outgoing_message_has_its_start_time_and_an_answer_its_end_time(imported, monitor, container):
     capture = imported(tick(monitor), monitor, container)
     assert [record.t_s for record in capture.records] == pytest.approx([0.0, 0.001, 0.0025], abs=2e-6)
 
@@ -80,7 +80,7 @@ def test_other_devices_are_left_out(imported, monitor):
     assert len(imported([*stick, *tick(monitor), *stick], monitor).records) == 3
 
 
-def test_of_two_boards_one_must_be_named(imported, monitor):
+def test_one_of_two_boards_must_be_named(imported, monitor):
     packets = [*tick(monitor), *tick(monitor, device=(2, 17))]
     with pytest.raises(CaptureError, match=r"1\.5, 2\.17; choose one with --device"):
         imported(packets, monitor)

@@ -149,7 +149,7 @@ def set_generic(image, sent):
 
 
 @pytest.mark.parametrize("logic", WIRINGS)
-def test_every_byte_from_opening_to_closing_is_the_first_image_except_the_wirings_own(logic):
+def test_every_byte_sent_is_the_first_images_except_the_wirings_own(logic):
     image = powered_up(logic)
     bench = Bench(logic, image)
     numbered = logic == "generic"
@@ -240,7 +240,7 @@ def test_the_first_generation_keeps_its_unknown_bytes_too(profile, version):
     assert all([one[at + 1] for at in unnamed] == [image[at] for at in unnamed] for one in frames)
 
 
-def test_the_timer_that_dates_the_samples_is_held_at_zero_by_one_bit_of_the_same_image():
+def test_one_bit_of_the_image_holds_the_sample_timer_at_zero():
     image = powered_up("abs")
     timed = [one for one in WIRINGS["abs"] if "timer" not in one]
     bench = Bench("abs", image, "board.timer=0", wiring=timed)

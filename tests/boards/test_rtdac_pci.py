@@ -78,7 +78,7 @@ class TestExchange:
             assert sample.board_flags is BoardFlags.STALE or bench.device.duties == (0.4, 0.2)
 
     @pytest.mark.parametrize("widths", [(255, 0), (0, 255), (52, 102), (0, 0)])
-    def test_a_width_that_another_program_wrote_between_two_exchanges_fails_the_next_one(self, new_pci_bench, widths):
+    def test_width_written_by_another_program_fails_the_next_exchange(self, new_pci_bench, widths):
         bench = new_pci_bench()
         with bench.board as board:
             bench.exchange(0.2, 0.4)

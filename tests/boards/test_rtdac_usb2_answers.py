@@ -67,7 +67,7 @@ def test_no_answer_is_mistaken_for_a_newer_one_when_it_comes(new_usb2_bench, moo
     assert not wrong
 
 
-def test_an_answer_that_came_too_late_for_safe_is_not_mistaken_for_the_next_exchanges(new_usb2_bench):
+def test_answer_too_late_for_safe_is_not_taken_for_the_next_exchanges(new_usb2_bench):
     bench = new_usb2_bench()
     road_start, wheel_start = bench.device.counts()
     with bench.board as board:

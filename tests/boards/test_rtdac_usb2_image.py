@@ -132,7 +132,7 @@ def set_bytes(changes):
     return change
 
 
-def test_settings_that_cannot_be_written_back_are_refused_before_anything_is_written(new_usb2_bench):
+def test_settings_that_cannot_be_restored_are_refused_before_any_write(new_usb2_bench):
     bench = new_usb2_bench()
     bench.link.change_answer = set_bytes({183: 0x80})  # top bit of the gate time of frequency meter 0
     with pytest.raises(BoardError, match="frequency_meter0_timer"):

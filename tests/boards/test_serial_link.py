@@ -416,7 +416,7 @@ class TestWithTheMock:
             with suppress(LinkError), new_board(config, server) as board:  # until the server has seen the hang-up
                 answered = board.exchange(Command.SAFE).board_flags == 0
 
-    def test_a_board_that_disappears_in_a_run_cannot_be_made_safe_and_the_user_is_warned(self, served):
+    def test_board_that_disappears_in_a_run_is_not_safe_and_the_user_is_warned(self, served):
         config, server = served
         board = new_board(config, server).__enter__()
         board.exchange(Command(0.5, 0.0))

@@ -65,7 +65,7 @@ def mocked(seen):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_mock_made_of_the_report_begins_as_the_board_that_was_seen_and_has_the_rig_behind_it(reported, kind):
+def test_mock_made_of_a_report_begins_as_the_reported_board_with_the_rig(reported, kind):
     seen = ReportedBoard(reported(kind))
     first = read_capture(seen.path).records
     config, front_end, clock = mocked(seen)

@@ -12,7 +12,7 @@ ROWS = (
 )
 
 
-def test_the_table_comes_before_the_question_and_the_question_before_the_first_write(lab, scripts):
+def test_table_precedes_the_question_and_the_question_the_first_write(lab, scripts):
     lab.done_until("echo")
     seen = []
 
@@ -78,7 +78,7 @@ def test_unless_the_profile_sets_it_off(lab, scripts):
     assert {sent["pwm4_width"] for sent in lab.rig.settings_sent[1:]} == {0}
 
 
-def test_commissioning_an_unknown_abs_logic_switches_thermal_protection_on_and_reports_it(lab, whole_script):
+def test_commissioning_an_unknown_abs_logic_turns_thermal_protection_on(lab, whole_script):
     lab.session(*whole_script, profile="usb2_abs_candidate").go(only="list")
     lab.operator.answers[:] = ["", "no", *whole_script[2:]]  # the mock's version is the generic logic's
     lab.procedure.go()

@@ -113,7 +113,7 @@ def closed(link):
     return link
 
 
-def test_readings_that_take_longer_than_a_period_are_refused_and_long_ones_noted():
+def test_readings_longer_than_a_period_are_refused_and_long_ones_noted():
     slow, doubtful, quick = (preflight(WatchedRig(read_s=read_s)) for read_s in (0.0006, 0.0004, 0.0001))
     assert "longer than" in str(slow.refused[0])
     assert ("may find" in doubtful.cautions[0], doubtful.refused) == (True, [])

@@ -73,7 +73,7 @@ def test_the_unsigned_draft_opens_it_for_reading_only(lab):
 @pytest.mark.parametrize(
     "step", [each if each in {"motors", "sign"} else pytest.param(each, marks=pytest.mark.long) for each in STEPS]
 )
-def test_an_interruption_at_any_step_keeps_the_draft_and_the_procedure_continues_there(lab, scripts, step):
+def test_interrupted_procedure_keeps_the_draft_and_continues_there(lab, scripts, step):
     lab.done_until(step)
     before = lab.file.read_text() if lab.file.exists() else ""
     with pytest.raises(KeyboardInterrupt):
@@ -154,7 +154,7 @@ def test_the_guards_limits_are_shown_and_signed_with_the_wiring(lab, scripts):
 
 
 @pytest.mark.parametrize(("change", "by"), [(1, ""), (-1, "the lab")])
-def test_a_limit_that_is_raised_takes_the_signature_and_one_that_is_lowered_does_not(lab, change, by):
+def test_raised_limit_voids_the_sign_off_and_a_lowered_one_does_not(lab, change, by):
     lab.all_done()
     most = lab.draft.config.guard.missed_in_a_row
     lab.session(settings=[f"guard.missed_in_a_row={most + change}"])

@@ -7,5 +7,5 @@ pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
 
 @pytest.mark.parametrize("name", CHECKS)
-def test_check(bench, name):
+def test_board_check_passes(bench, name):
     CHECKS[name](bench)

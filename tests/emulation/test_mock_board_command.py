@@ -72,7 +72,7 @@ def test_the_driver_runs_the_rig_in_it_over_usbip(served):
     bus.close()
 
 
-def test_the_first_generation_is_served_behind_its_ftdi_bridge_and_the_truth_is_printed_beside_it(tmp_path):
+def test_first_generation_is_served_behind_its_ftdi_bridge_with_the_truth(tmp_path):
     truth = tmp_path / "truth.jsonl"
     with mock_board("--board", "usb", "--truth", truth) as (process, (what, *_)):
         assert re.match(r"mock RT-DAC/USB 0403:6001, serial number 900000007, at 127\.0\.0\.1:\d+", what)

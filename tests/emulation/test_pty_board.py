@@ -152,7 +152,7 @@ def test_a_whole_stop_in_real_time_over_the_port_replays_without_a_difference(li
 
 
 @pytest.mark.long
-def test_a_loop_that_is_killed_leaves_the_port_to_the_guardian_which_makes_the_board_safe(live, mock):
+def test_guardian_makes_the_board_safe_on_the_port_of_a_killed_loop(live, mock):
     run = live()
     run.until_tick(TRIP_TICKS)
     mock.until(lambda truth: truth["drive"] > 0.0)
@@ -257,7 +257,7 @@ ENDS = {
 
 @pytest.mark.long
 @pytest.mark.parametrize("how", ENDS)
-def test_a_commissioning_that_ends_with_a_motor_on_says_how_and_the_outputs_are_off(commissioning, mock, how):
+def test_commissioning_that_ends_with_a_motor_on_says_how_and_switches_it_off(commissioning, mock, how):
     end, code, expected = ENDS[how]
     process = driving(commissioning, mock)
     end(process)

@@ -61,7 +61,7 @@ def check_list(speed):
 
 @pytest.mark.xdist_group("real libusb")
 @pytest.mark.parametrize("name", CHECKS)
-def test_check(speed, name):
+def test_check_passes_through_the_real_libusb(speed, name):
     failure = check_list(speed)[name]
     assert failure is None, failure
 

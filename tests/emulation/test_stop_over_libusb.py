@@ -92,7 +92,7 @@ def stop(folder, engine, **trouble):
 
 @pytest.mark.long
 @pytest.mark.parametrize("engine", ["faster", "one-by-one"])
-def test_a_stop_completes_from_tick_0_on_and_the_session_says_how_quick_the_engines_were(tmp_path, engine):
+def test_stop_completes_from_tick_0_and_the_session_reports_engine_times(tmp_path, engine):
     session, card, board = stop(tmp_path, engine)
     assert card["outcome"] == "completed"
     assert session.ticks["tick"][0] == 0

@@ -272,7 +272,7 @@ class BoardMachine(RuleBasedStateMachine):
 @pytest.mark.parametrize(
     "profile", [each if each == "sim_usb2" else pytest.param(each, marks=pytest.mark.long) for each in PROFILES]
 )
-def test_in_any_order_of_use_and_loss_a_board_is_left_safe_or_the_user_is_warned(monkeypatch, record_property, profile):
+def test_board_is_left_safe_or_the_user_warned_in_any_order_of_use_and_loss(monkeypatch, record_property, profile):
     monkeypatch.setattr(plant, "MOST_CUTS", 1)
     machine = type("Machine", (BoardMachine,), {"profile": profile})
     run_state_machine_as_test(machine, settings=FEW)

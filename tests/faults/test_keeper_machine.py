@@ -185,9 +185,7 @@ def recovered(left, again):
     return b""
 
 
-def test_in_any_order_of_failing_disks_and_dying_programs_every_tick_is_kept_and_none_is_wrong(
-    monkeypatch, record_property
-):
+def test_every_tick_is_kept_through_failing_disks_and_dying_programs(monkeypatch, record_property):
     disk = type("FullDisk", (file_writer.Disk, Full), {})
     monkeypatch.setattr(file_writer, "Disk", disk)
     monkeypatch.setattr(file_writer, "McapWriter", partial(McapWriter, chunk_bytes=2048))

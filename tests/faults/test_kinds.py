@@ -69,9 +69,7 @@ def test_harmless_faults_are_tolerated(short, name):
 
 @pytest.mark.parametrize("name", FOR_GOOD)
 @pytest.mark.parametrize("event", ["drive+40ms", "brake+20ms"])
-def test_a_board_that_is_gone_ends_the_run_in_four_exchanges_and_the_user_is_warned_to_press_the_switch(
-    short, name, event
-):
+def test_lost_board_ends_the_run_in_four_exchanges_with_a_warning(short, name, event):
     if short.board.kind == "pci" and name == "identity":
         with pytest.raises(ConfigError, match="no answer of such a board identifies it"):
             ride(short, [f"{name}@{event}"])
@@ -105,7 +103,7 @@ def test_what_the_board_measures_is_reported_by_its_driver(fault):
     assert flags == ([0, 1, 0] if name == "alarm" else [1, 1, 1])
 
 
-def test_a_second_program_that_repeats_an_old_command_is_noticed_and_the_user_warned(short):
+def test_second_program_repeating_an_old_command_is_noticed_with_a_warning(short):
     result = happened(ride(short, ["master@brake+20ms"]))
     assert result.reason is R.MISSED_EXCHANGES
     # a bus shows its last write, by any program; writes of another program after the reading stay unseen

@@ -192,7 +192,7 @@ class PanelMachine(RuleBasedStateMachine):
             self.memories.pop().remove()
 
 
-def test_with_any_keys_power_ends_with_the_key_and_returns_after_a_trip_only_by_arming(monkeypatch, record_property):
+def test_power_ends_with_the_key_and_returns_after_a_trip_only_by_arming(monkeypatch, record_property):
     with tempfile.TemporaryDirectory(prefix="abs-", dir=memory.FOLDER) as folder:
         monkeypatch.setattr(memory, "FOLDER", Path(folder))
         monkeypatch.setattr(plant, "MOST_CUTS", 1)

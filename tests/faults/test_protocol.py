@@ -15,7 +15,7 @@ def test_outputs_go_off_for_any_processes_killed_or_frozen_at_any_time(strikes, 
     assert problem == ""
 
 
-def test_the_bound_is_the_quarter_of_a_second_that_is_promised_and_no_larger_than_it_must_be():
+def test_bound_is_the_promised_quarter_of_a_second_and_no_larger():
     assert BOUND * POLL_NS == 250_000_000
     assert "stayed on" in explore(Rules(), 2, BOUND - 1)[2]
 

@@ -96,14 +96,14 @@ class TestConfigure:
     @pytest.mark.parametrize(
         ("watchdog_ms", "tick_hz"), [(2, 0), (100, 0), (2, 1000), (20, 100), (2, 4000), (100, 100), (4, 500), (16, 125)]
     )
-    def test_what_fits(self, host, watchdog_ms, tick_hz):
+    def test_valid_settings_are_accepted(self, host, watchdog_ms, tick_hz):
         assert host.configure(watchdog_ms, tick_hz)[0] == "STATUS"
 
     @pytest.mark.parametrize(
         ("watchdog_ms", "tick_hz"),
         [(1, 0), (101, 0), (0, 1000), (255, 4000), (3, 500), (19, 100), (100, 80), (100, 5000), (100, 1), (100, 300)],
     )
-    def test_what_does_not(self, host, watchdog_ms, tick_hz):
+    def test_invalid_settings_are_refused(self, host, watchdog_ms, tick_hz):
         assert refusal(host.configure(watchdog_ms, tick_hz)) == Refused.VALUE
         found = host.status()
         assert (found["state"], found["watchdog_ms"], found["tick_hz"]) == (State.IDLE, 0, 0)

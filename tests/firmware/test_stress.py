@@ -42,7 +42,7 @@ def test_a_hundred_million_bytes():
 
 @pytest.mark.long
 @pytest.mark.parametrize("what", SABOTAGE)
-def test_it_finds(what, tmp_path):
+def test_stress_test_finds_sabotage(what, tmp_path):
     shutil.copytree(FIRMWARE, tmp_path / "firmware", ignore=shutil.ignore_patterns("build"))
     name, old, new = SABOTAGE[what]
     file = tmp_path / "firmware" / "core" / name

@@ -173,7 +173,7 @@ class TestWatchdog:
             board.advance(WATCHDOG_US - 1000)
             assert board.widths == (4095, 200)
 
-    def test_after_a_trip_widths_read_zero_and_stay_off_until_a_send_frame_has_them_all_zero(self, board):
+    def test_widths_after_a_trip_stay_zero_until_a_send_frame_has_them_all_zero(self, board):
         board.write(send(**BOTH_ON, pwm2_width=7))
         board.advance(WATCHDOG_US)
         found = asked(board)

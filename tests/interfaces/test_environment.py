@@ -196,7 +196,7 @@ def test_a_stop_is_truncated_when_its_time_is_over():
     assert len(rewards) == 20
 
 
-def test_the_reward_is_the_slip_error_and_a_penalty_for_locking_unless_another_is_given():
+def test_default_reward_is_the_slip_error_and_a_penalty_for_locking():
     _, rewards, infos, _ = stop(BrakingEnv(population="nominal"), duty(0.7), seed=1)
     locked = [info["slip"] > 0.9 and info["road_speed_rad_s"] > 10.0 for info in infos[1:]]
     assert 0 < sum(locked) < len(locked)

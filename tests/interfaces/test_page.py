@@ -40,7 +40,7 @@ def test_an_example_prints_what_the_page_says(name, tmp_path):
 
 
 @pytest.mark.long
-def test_the_policy_learns_and_is_better_than_the_papers_law_on_rigs_that_it_has_not_seen(tmp_path):
+def test_policy_learns_and_beats_the_papers_law_on_unseen_rigs(tmp_path):
     before, after, learned, worst, law, laws_worst = map(
         float, re.findall(r"-?\d+\.\d+", printed_by(LEARNING, tmp_path))
     )

@@ -56,13 +56,13 @@ def test_20_ms_of_dead_time_are_tolerated():
 @pytest.mark.untraced
 @pytest.mark.long
 @pytest.mark.parametrize(("population", "median_rms"), [("hard", 0.0012), ("slow", 0.0013), ("rough", 0.0025)])
-def test_the_same_on_many_rigs(population, median_rms):
+def test_targets_hold_on_many_rigs(population, median_rms):
     require_targets(stops_of(population, 30, OURS), median_rms)
 
 
 @pytest.mark.untraced
 @pytest.mark.long
-def test_it_is_a_tenth_of_the_papers_law_at_most_on_every_rig():
+def test_error_is_a_tenth_of_the_papers_laws_at_most_on_every_rig():
     ours, papers = (stops_of("hard", 10, f"controller.name={name}") for name in ("predictive-reaching", "reaching-law"))
     assert (ours["slip_rms_true"] < papers["slip_rms_true"] / 10.0).all()
 

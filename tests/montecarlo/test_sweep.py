@@ -251,7 +251,7 @@ def test_the_table_has_the_best_first_and_fits_a_terminal(rows):
     assert max(map(len, text.splitlines())) <= 80
 
 
-def test_the_figure_shows_which_share_has_which_rms_and_leaves_out_stops_that_have_none(rows, monkeypatch, tmp_path):
+def test_figure_shows_the_share_of_each_rms_without_stops_that_have_none(rows, monkeypatch, tmp_path):
     saved = []
     monkeypatch.setattr(Figure, "savefig", lambda self, file, **_: (saved.append(self), file.touch()))
     short = braked(tmp_path / "short", grid("experiment.start_speed_rad_s=12", "controller.name=steps"), "nominal:0")

@@ -225,7 +225,7 @@ def test_a_folder_without_a_description_is_refused_as_a_sweep(tmp_path):
         SweepFolder.open(tmp_path, "--show")
 
 
-def test_parts_that_are_empty_or_cut_short_are_braked_again_and_what_killed_processes_left_is_removed(whole, begun):
+def test_damaged_parts_are_braked_again_and_leftovers_removed(whole, begun):
     begun.path.joinpath("part").rmdir()
     shutil.copytree(whole.path / "part", begun.path / "part")
     empty, cut = (begun.path / "part" / f"{name}.parquet" for name in ("0-hard-0-10", "1-hard-20-5"))
@@ -243,7 +243,7 @@ def test_parts_that_are_empty_or_cut_short_are_braked_again_and_what_killed_proc
     assert not any(file.exists() for file in left)
 
 
-def test_a_draw_that_is_impossible_is_left_out_and_the_others_of_its_unit_are_braked(tmp_path):
+def test_impossible_draw_is_left_out_and_others_of_its_unit_are_braked(tmp_path):
     (tmp_path / "long.toml").write_text('base = "hard"\n[rig]\nbrake_dead_time_s = { factor = 15 }\n')
     draws = parse_draws(f"{tmp_path / 'long.toml'}:0-3")  # the second would have more dead time than any brake
     folder = SweepFolder.make(tmp_path / "sweep", SweepPlan(GRID[:1], [draws], run_up=False))

@@ -102,7 +102,7 @@ def test_the_experiment_is_not_similar_to_the_simulation(report):
 
 
 @pytest.mark.parametrize("count", [1, 2, 20])
-def test_the_experiment_has_the_requested_number_of_rigs_which_can_all_hold_the_slip(count):
+def test_experiment_has_the_requested_number_of_rigs_that_hold_the_slip(count):
     draws = {one.name: one.draws for one in paper_conditions(count)}["experiment-window"]
     assert len(draws.rigs) == count
     assert draws == parse_draws(draws.name)  # so that a sweep has the same

@@ -144,7 +144,7 @@ def test_a_gain_that_it_keeps_changes_there_and_in_its_copies(law):
 
 
 @pytest.mark.usefixtures("patient")
-def test_a_gain_that_it_turns_into_something_else_and_a_reference_that_it_does_not_read_stay(law):
+def test_gain_that_the_class_converts_and_unread_reference_cannot_change(law):
     _, controller = law(made="self.duty = duty / 2")
     assert not controller.keeps_gain("duty", 0.7)
     assert not controller.keeps_gain("reference_slip", 0.2)

@@ -76,7 +76,7 @@ def test_a_disk_that_refuses_is_not_slow_too(watched):
     assert watched.screen.texts == ["it is full"]
 
 
-def test_a_run_whose_ticks_have_no_room_left_is_ended_while_there_is_still_enough_to_stop(watched):
+def test_run_without_room_for_its_ticks_ends_while_it_can_still_stop(watched):
     watched.ticks(CAPACITY - int(RATE_HZ))
     assert not watched.words[Field.STOP]
     watched.ticks(1)

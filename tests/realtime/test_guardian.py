@@ -275,9 +275,7 @@ class TestDeath:
         assert run.until_rescued(process.pid)["failure"] == ""
         assert run.device.duties == OFF
 
-    def test_a_board_that_cannot_be_made_safe_is_reported_with_its_cause_and_the_guardian_continues(
-        self, run, child, monkeypatch
-    ):
+    def test_guardian_reports_a_board_it_cannot_make_safe_and_continues(self, run, child, monkeypatch):
         first, second = child(), child()
         run.hold(first.pid)
         host = run.host()
@@ -302,7 +300,7 @@ class TestDeath:
             assert run.words[Field.RESCUED_PID] == 0
         run.until_rescued(process.pid)
 
-    def test_a_process_that_had_released_the_board_is_not_mistaken_for_one_that_held_it(self, run, child):
+    def test_process_that_released_the_board_does_not_count_as_its_holder(self, run, child):
         process = child()
         run.hold(process.pid)
         run.words[Field.HOLDER_PID] = 0
@@ -322,7 +320,7 @@ class TestDeath:
         assert run.until_rescued(process.pid)["failure"] == ""
         assert run.front_end.written == []
 
-    def test_one_that_was_dead_before_the_guardian_looked_has_its_board_made_safe_too(self, run, child):
+    def test_process_dead_before_the_first_look_has_its_board_made_safe(self, run, child):
         process = child()
         process.kill()
         os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
@@ -336,7 +334,7 @@ class TestDeath:
         assert run.words[Field.GUARDING_PID] == 0
         run.guard(child().pid)
 
-    def test_of_a_process_that_is_gone_no_descriptor_stays_open(self, run, child, monkeypatch):
+    def test_no_descriptor_of_a_dead_process_stays_open(self, run, child, monkeypatch):
         opened, pidfd_open = set(), os.pidfd_open
 
         def noted(pid):
@@ -456,9 +454,7 @@ input()
 
 
 @pytest.mark.untraced
-def test_the_process_has_the_priority_and_the_locked_memory_that_this_computer_grants(
-    memory, job_of, child, python_child, until
-):
+def test_the_process_has_the_priority_and_locked_memory_granted_here(memory, job_of, child, python_child, until):
     job_of(memory)
     memory.words[Field.SUPERVISOR_PID] = os.getpid()
     like = python_child(PREPARED, stdin=subprocess.PIPE)

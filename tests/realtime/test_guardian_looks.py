@@ -119,7 +119,7 @@ class TestHang:
         }  # fmt: skip
         assert scene.words[Field.RESCUED_PID] == scene.process.pid
 
-    def test_one_that_has_not_ticked_yet_is_given_all_the_time_it_needs(self, scene):
+    def test_process_before_its_first_tick_has_no_time_limit(self, scene):
         assert scene.guard().killed_within(10_000) == 10_000
 
     def test_a_loop_that_no_longer_holds_the_board_may_be_silent(self, scene):
@@ -156,7 +156,7 @@ class TestHang:
 
 
 class TestDeath:
-    def test_one_that_dies_has_its_board_made_safe_at_that_look_and_the_next_is_guarded(self, scene, child):
+    def test_board_of_a_dead_process_is_made_safe_and_the_next_guarded(self, scene, child):
         scene.guard()
         scene.kill(scene.process)
         scene.look(5)
@@ -170,7 +170,7 @@ class TestDeath:
         assert scene.words[Field.GUARDING_PID] == other.pid
         assert not scene.killed
 
-    def test_of_one_that_held_nothing_nothing_is_made_safe(self, scene):
+    def test_process_without_a_board_needs_no_rescue(self, scene):
         scene.guard()
         scene.words[Field.HOLDER_PID] = 0
         scene.kill(scene.process)
@@ -178,7 +178,7 @@ class TestDeath:
         assert scene.rescued == []
         assert scene.words[Field.RESCUED_PID] == 0
 
-    def test_one_that_follows_one_that_hung_has_died_and_not_hung(self, scene, child):
+    def test_death_of_the_process_after_a_hung_one_is_reported_as_a_death(self, scene, child):
         scene.guard("guard.silence_s=0.05").tick()
         scene.killed_within(1000)
         scene.ended = True

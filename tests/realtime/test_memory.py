@@ -230,7 +230,7 @@ class TestNotes:
         assert set(seen) == {b"one", None}
         assert other.image(Mailbox.DRILL) == b"two"
 
-    def test_notes_of_the_greatest_length_stand_side_by_side_and_longer_ones_are_refused(self, small):
+    def test_notes_of_the_greatest_length_fit_and_longer_ones_are_refused(self, small):
         memory, other = small
         posted = {}
         for note in Mailbox:

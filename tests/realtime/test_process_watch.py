@@ -131,7 +131,7 @@ def test_the_first_reason_stays(scene):
 
 @pytest.mark.parametrize("loop", ["killed", "frozen"])
 @pytest.mark.parametrize("guardian", ["killed", "frozen"])
-def test_without_loop_and_guardian_the_board_is_taken_after_the_end_of_both_and_that_is_reported(scene, loop, guardian):
+def test_board_is_taken_over_once_loop_and_guardian_have_ended(scene, loop, guardian):
     scene.look(100, guardian_beats=True, loop_ticks=True)
     for process, how in ((scene.loop, loop), (scene.guardian, guardian)):
         if how == "killed":
@@ -186,7 +186,7 @@ def test_a_loop_that_released_its_board_needs_no_rescue(scene):
     assert scene.words[Field.STOP] == 0
 
 
-def test_a_loop_that_was_silent_before_it_held_the_board_is_not_mistaken_for_hung(scene, monkeypatch):
+def test_loop_silent_before_it_held_the_board_does_not_count_as_hung(scene, monkeypatch):
     killed = []
     monkeypatch.setattr(signal, "pidfd_send_signal", lambda *_: killed.append(1))
     scene.words[Field.HOLDER_PID] = 0

@@ -305,7 +305,7 @@ class TestWrappedRing:
         rebuild(made.run.memory, made.run.job, made.run.job.path)
         assert read_session(made.run.job.path).metadata["session"]["started_utc"] == "1970-01-01T00:00:00.001+00:00"
 
-    def test_of_a_file_that_is_damaged_nothing_is_replaced(self, crash):
+    def test_nothing_of_a_damaged_file_is_replaced(self, crash):
         made = crash()
         made.run.conclude()
         data = bytearray(made.run.job.path.read_bytes())
@@ -790,9 +790,7 @@ class TestDisk:
         until(lambda: recording.words[Field.TROUBLES], "it says so")
         return recording.memory.note(Mailbox.TROUBLES)
 
-    def test_a_disk_that_keeps_refusing_is_the_recorders_failure_and_the_ring_has_everything(
-        self, recording, until, tmp_path
-    ):
+    def test_refusing_disk_is_the_recorders_failure_and_the_ring_keeps_all(self, recording, until, tmp_path):
         recording.ready()
         recording.ticks(100)
         posted = self.vanish(recording, until)

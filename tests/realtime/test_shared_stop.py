@@ -47,7 +47,7 @@ def test_what_the_others_want_is_passed_on(stop, memory, word, reason):
     assert stop.wanted(START_NS) is reason
 
 
-def test_a_computer_that_was_suspended_ends_the_run_at_the_first_tick_though_no_period_seems_missed(memory):
+def test_suspended_computer_ends_the_run_at_its_first_tick(memory):
     memory.words[Field.GUARDIAN_BEAT_NS] = START_NS
     slept = [3_600_000_000_000]  # before this run
     stop = SharedStop(memory, lambda: slept[0])

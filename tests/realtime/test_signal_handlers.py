@@ -18,7 +18,7 @@ NUMBERS = sorted(signal.valid_signals() - {getattr(signal, name) for name in WIT
 DEFAULT = "import signal, sys; signal.signal(int(sys.argv[1]), signal.SIG_DFL); signal.raise_signal(int(sys.argv[1]))"
 
 
-def test_every_signal_that_would_end_or_stop_the_program_is_handled_and_only_inside_the_context():
+def test_ending_signals_are_handled_only_inside_the_context():
     assert {signal.SIGVTALRM, signal.SIGPROF, signal.SIGIO, signal.SIGPWR, signal.SIGRTMIN} < set(NUMBERS)
     before, heard = {number: signal.getsignal(number) for number in NUMBERS}, []
     with handle_signals(lambda: heard.append(True)):

@@ -107,7 +107,7 @@ class TestSnapshot:
     def test_before_the_first_tick_there_is_no_snapshot(self, supervisor):
         assert supervisor.snapshot() is None
 
-    def test_it_has_the_values_of_the_newest_tick(self, supervisor, ring, memory):
+    def test_snapshot_has_the_values_of_the_newest_tick(self, supervisor, ring, memory):
         for number in range(5):
             ring.append(tick(number))
         ring.append(tick(5, phase=Phase.BRAKING, slip=0.5))
@@ -117,7 +117,7 @@ class TestSnapshot:
             Phase.BRAKING, 6, 2_500_000 * 1e-9, 15.0, 25.0, 0.5, 0.75, 0.25, 4, (3.0, 30.0, 30.0, 30.0), (first,)
         )
 
-    def test_it_has_what_came_since_the_one_before_thinned_out_to_200_points_a_second(self, supervisor, ring):
+    def test_snapshot_has_200_points_a_second_since_the_previous_one(self, supervisor, ring):
         seen = []
         for number in range(45):
             ring.append(tick(number))

@@ -246,7 +246,7 @@ def test_the_room_is_what_can_be_appended_before_anything_is_taken():
 
 
 @pytest.mark.parametrize(("record_bytes", "words"), [(1, 1), (8, 1), (9, 2), (5, 1)])
-def test_the_counters_have_64_bytes_and_each_record_whole_words_between_two_numbers(record_bytes, words):
+def test_counters_take_64_bytes_and_each_record_whole_words_and_two_numbers(record_bytes, words):
     assert ring_bytes(record_bytes, 3) == 64 + 3 * 8 * (words + 2)
 
 

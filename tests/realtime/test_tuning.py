@@ -141,7 +141,7 @@ class TestPrepare:
         ],
         ids=lambda value: type(value).__name__,
     )
-    def test_a_refused_setting_is_reported_with_its_reason_and_what_to_do_and_stops_no_other(self, error, reason):
+    def test_refused_setting_is_reported_and_stops_no_other(self, error, reason):
         asked = []
         tunings = [
             Tuning("first", lambda: asked.append(1) or "one", "never needed"),

@@ -26,7 +26,7 @@ costly = settings(deadline=None, max_examples=15)
     start=st.tuples(speeds_rad_s, speeds_rad_s),
     pushes=st.lists(st.tuples(duties, duties, durations_s), max_size=12),
 )
-def test_any_duties_leave_a_finite_state_a_slip_in_0_to_1_and_a_torque_the_brake_has(parameters, start, pushes):
+def test_any_duties_leave_a_finite_state_and_slip_and_torque_in_range(parameters, start, pushes):
     plant = Plant(parameters, *start)
     for drive, brake, duration_s in pushes:
         plant.advance(drive, brake, duration_s)

@@ -131,7 +131,7 @@ def test_full_brake_step_is_as_sensitive_as_published(mask, changed, apart, tole
 
 
 @pytest.mark.parametrize("threshold", [0.1, 0.7])
-def test_relay_of_the_vendors_simulator_stops_in_1_37_to_1_38_s_around_its_threshold(mask, threshold):
+def test_vendor_simulators_relay_stops_in_1_37_to_1_38_s_at_its_threshold(mask, threshold):
     plant = Plant(replace(mask, c31=VENDOR_LAG, u0=VENDOR_U0), 180.0, 180.0)
     slips = []
     while plant.road_speed > 0.0:

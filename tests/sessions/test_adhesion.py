@@ -6,14 +6,14 @@ from inteco_abs.rig import RigParameters, adhesion
 from inteco_abs.sessions import read_session
 
 
-def test_it_is_that_of_the_true_slip(quick):
+def test_adhesion_is_that_of_the_true_slip(quick):
     truth = quick.session.truth
     parameters = RigParameters.named("mask")
     assert truth["adhesion"].tolist() == [adhesion(slip, parameters) for slip in truth["slip"].tolist()]
     assert truth["adhesion"].max() > 0.3
 
 
-def test_of_a_drawn_rig_it_is_the_rigs_own(run):
+def test_adhesion_of_a_drawn_rig_is_its_own(run):
     made = run('simulation.rig="hard:3"')
     truth = read_session(made.path).truth
     published = [adhesion(slip, RigParameters.named("mask")) for slip in truth["slip"].tolist()]

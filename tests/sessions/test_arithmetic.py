@@ -77,7 +77,7 @@ def payload(session):
 
 @pytest.mark.long
 @pytest.mark.untraced
-def test_every_controller_and_estimator_replays_on_a_processor_without_fused_multiplication(tmp_path):
+def test_all_parts_replay_on_a_processor_without_fused_multiplication(tmp_path):
     stops = TOOL["record"](tmp_path)
     there = TOOL["replay_all"](sys.executable, stops, WITHOUT_FMA)
     laws, estimators = zip(*(path.stem.split("+") for path in stops), strict=True)

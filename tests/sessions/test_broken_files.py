@@ -98,7 +98,7 @@ def with_a_wrong_length(request, short, container, altered):
 
 
 @pytest.mark.parametrize(("opcode", "lost"), [(CHUNK, 10), (MESSAGE_INDEX, 0), (METADATA, 0)])
-def test_a_flipped_bit_of_a_length_is_damage_not_a_cut_and_all_other_chunks_are_recovered(
+def test_flipped_bit_of_a_length_is_damage_and_other_chunks_are_recovered(
     with_a_wrong_length, tmp_path, request, opcode, lost
 ):
     ticks = 50 if request.node.callspec.params["with_a_wrong_length"] == "cut" else 60

@@ -50,7 +50,7 @@ def test_the_decisions_replay_bit_for_bit(drawn, replayed):
     assert replayed(drawn.session).differing == 0
 
 
-def test_a_command_reaches_the_terminals_one_tick_after_its_sample_in_255_steps_rounded_down(drawn):
+def test_command_reaches_the_terminals_one_tick_late_in_255_steps(drawn):
     ticks, truth = drawn.session.ticks, drawn.session.truth
     assert truth["time_ns"][: len(ticks)].tolist() == ticks["time_ns"].tolist()
     steps = np.floor(ticks["brake"][:-1] * 255.0 + 1e-9)

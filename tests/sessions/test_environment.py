@@ -127,7 +127,7 @@ def test_limits_and_physics_of_a_run_are_among_the_facts_about_the_rig(run):
     assert "simulated_parameters" not in drawn
 
 
-def test_the_sources_have_one_hash_wherever_they_lie_and_another_once_they_are_changed(tmp_path):
+def test_hash_of_the_sources_depends_on_content_not_on_place(tmp_path):
     assert current_environment().software["source_sha256"] == source_sha256()
     for name in ("inteco_abs", "firmware_protocol"):  # as an installation: without git, with compiled files
         shutil.copytree(SOURCE_FOLDER.parent / name, tmp_path / name)

@@ -132,9 +132,7 @@ def test_an_existing_session_is_left_alone_and_the_board_too(run, devices, tmp_p
 
 
 @pytest.mark.parametrize("kind", [RuntimeError, KeyboardInterrupt, SystemExit])
-def test_a_run_that_is_broken_off_in_any_way_leaves_the_board_safe_and_the_file_whole(
-    run, devices, replayed, tmp_path, kind
-):
+def test_interrupted_run_leaves_the_board_safe_and_the_file_whole(run, devices, replayed, tmp_path, kind):
     def progress(phase, _ticks):
         if phase is Phase.BRAKING:
             raise kind("the screen is gone")
@@ -185,7 +183,7 @@ def test_a_board_that_cannot_be_made_safe_is_said_even_when_the_disk_is_full(run
         run("experiment.start_speed_rad_s=60.0")
 
 
-def test_a_disk_that_fills_up_during_the_run_leaves_the_board_safe_and_the_file_readable(run, devices, room, tmp_path):
+def test_full_disk_leaves_the_board_safe_and_the_file_readable(run, devices, room, tmp_path):
     room(100_000)
     with pytest.raises(SessionError, match=os.strerror(errno.EFBIG)):
         run("experiment.start_speed_rad_s=60.0")
@@ -224,9 +222,7 @@ def vanishing(at_phase, tmp_path):
     return "out/stop.mcap"
 
 
-def test_a_folder_that_vanishes_during_the_run_ends_nothing_and_the_session_is_in_the_second_place(
-    run, quick, devices, vanishing, replayed, tmp_path
-):
+def test_session_moves_to_the_second_place_when_its_folder_vanishes(run, quick, devices, vanishing, replayed, tmp_path):
     (tmp_path / "spill").mkdir()
     made = run(f"session.spill={tmp_path / 'spill'}", name=vanishing)
     assert (made.stop.outcome, made.stop.exit_code) == ("completed", 3)

@@ -312,7 +312,7 @@ class TestSync:
         assert (len(synced.sizes), synced.sizes[-1]) == (3, run.out.stat().st_size)  # one for all that came meanwhile
         whole(run.out, run)
 
-    def test_the_folder_is_synced_with_the_header_so_that_the_files_name_is_on_the_disk(self, kept, monkeypatch):
+    def test_folder_is_synced_with_the_header_so_the_name_is_on_the_disk(self, kept, monkeypatch):
         folders, sync = [], os.fsync
         monkeypatch.setattr(
             os, "fsync", lambda file: (folders.append(Path(f"/proc/self/fd/{file}").readlink()), sync(file))

@@ -39,7 +39,7 @@ def card_of(ticks, config):
     return [card[key] for key in KEYS]
 
 
-def test_the_card_says_how_far_the_slip_swung_how_often_the_law_fell_back_from_when_and_for_how_long():
+def test_card_reports_swing_and_fall_backs():
     swing, falls, first_s, lasted_s = card_of(stops(SWINGS), settings())
     assert swing == pytest.approx(0.04 / BAND, rel=1e-4)
     assert falls == 3

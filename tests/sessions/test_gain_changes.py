@@ -196,7 +196,7 @@ class Own:
 OWN = Controllers({"Own": (Own, Origin(b""))})
 
 
-def test_of_a_class_of_ones_own_the_gains_that_it_keeps_can_change():
+def test_gains_that_a_users_class_keeps_can_change():
     config = load_config(settings=["controller.name=Own"], checks=[control_check(OWN)])
     assert [gain.name for gain in gains_to_change(build_pipeline(config, OWN), config, OWN)] == [
         "reference_slip",

@@ -81,7 +81,7 @@ def test_every_field_of_every_truth_equals_our_readers(seen, quick):
     assert theirs == our_rows(quick.session.truth, TRUTH.columns)
 
 
-def test_there_is_one_truth_for_every_tick_of_the_same_instant_and_one_for_the_last_write(quick):
+def test_each_tick_has_one_truth_of_its_instant_and_so_has_the_last_write(quick):
     session = quick.session
     assert session.truth["time_ns"][:-1].tolist() == session.ticks["time_ns"].tolist()
     assert (session.truth["drive"][-1], session.truth["brake"][-1]) == (0.0, 0.0)

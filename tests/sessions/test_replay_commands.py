@@ -104,7 +104,7 @@ def test_what_if_says_in_what_fault_a_simulation_ends(command, quick, tmp_path):
     assert closed["reason"] == "BAD_OUTPUT"
 
 
-def test_what_if_says_that_open_loop_does_not_react_and_that_closed_loop_is_a_simulation(command, quick):
+def test_what_if_says_open_loop_does_not_react_and_closed_loop_simulates(command, quick):
     code, printed, _ = command("what-if", quick.path, "--controller", "relay", "--at", "0.05")
     assert code == 0
     (duty,) = (line.split() for line in printed.splitlines() if "brake duty, 1" in line)
@@ -116,7 +116,7 @@ def test_what_if_says_that_open_loop_does_not_react_and_that_closed_loop_is_a_si
     assert "leaves the log by: road_speed_rad_s 0, slip 0, brake 0" in printed
 
 
-def test_what_if_prints_a_line_for_each_request_and_the_log_before_the_simulated_results(command, quick):
+def test_what_if_prints_requests_and_log_before_simulated_results(command, quick):
     sweep = ("what-if", quick.path, "--sweep", "controller.gains.Mk=2,20", "--closed-loop")
     requests, _, simulated = command(*sweep)[1].partition("closed loop: a")[0].partition("simulated from there on")
     report = json.loads(command(*sweep, "--json")[1])

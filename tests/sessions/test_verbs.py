@@ -26,7 +26,7 @@ class TestList:
         assert {line.split()[0] for line in lines} == {"a.mcap", "b.mcap", "cut.mcap"}
         assert "ends early" in next(line for line in lines if line.startswith("cut"))
 
-    def test_json(self, verb, folder):
+    def test_list_json_has_the_sorted_sessions(self, verb, folder):
         report = verb("list", folder, "--json", "--sort", "ticks", "--reverse").json
         assert report["schema_version"] == 1
         assert [row["session"].rpartition("/")[2] for row in report["sessions"]] == ["b.mcap", "a.mcap", "cut.mcap"]
@@ -87,7 +87,7 @@ class TestValidate:
         assert all(line.startswith(f"{folder / 'cut.mcap'}: ") for line in lines)
         assert any(": bytes " in line and ": loss: the file ends early" in line for line in lines)
 
-    def test_json(self, verb, folder):
+    def test_validate_json_has_verdicts_and_findings(self, verb, folder):
         report = verb("validate", folder / "a.mcap", folder / "cut.mcap", "--json").json
         assert report["schema_version"] == 1
         assert [each["verdict"] for each in report["sessions"]] == ["well", "losses"]
@@ -112,7 +112,7 @@ class TestRecover:
             assert f"{new}: must end in .mcap" in done.err
             assert not (folder / new).exists()
 
-    def test_without(self, verb, folder):
+    def test_file_that_lost_only_its_index_is_recovered_whole(self, verb, folder):
         (folder / "index.mcap").write_bytes((folder / "a.mcap").read_bytes()[:-300])
         done = verb("recover", folder / "index.mcap", "-o", folder / "new.mcap")
         assert done.code == 0
@@ -189,7 +189,7 @@ class TestExport:
         assert done.out.splitlines()[0] == f"{folder / 'a.csv'}: tick, 60 rows"
         assert (folder / "a.truth.csv").exists()
 
-    def test_json(self, verb, folder):
+    def test_export_json_names_the_files_and_what_is_missing(self, verb, folder):
         done = verb("export", folder / "cut.mcap", "--format", "npz", "-o", folder / "x.npz", "--json")
         assert done.code == 3
         assert done.json["schema_version"] == 1
@@ -258,7 +258,7 @@ class TestDiff:
         done = verb("diff", folder / "a.mcap", folder / "b.mcap", "--only", "gains", "--only", "rig")
         assert done.code == 0
 
-    def test_json(self, verb, folder):
+    def test_diff_json_has_the_changed_keys(self, verb, folder):
         report = verb("diff", folder / "a.mcap", folder / "b.mcap", "--json", "--only", "configuration").json
         assert (report["schema_version"], report["equal"]) == (1, False)
         assert list(report["changes"]) == ["configuration"]

@@ -52,7 +52,7 @@ def test_a_profile_that_does_not_exist_is_named_with_the_nearest(inteco_abs):
     assert "did you mean usb2_generic_0103" in run.stderr
 
 
-def test_every_estimator_is_listed_with_its_parameters_as_the_configuration_has_them(inteco_abs):
+def test_every_estimator_is_listed_with_its_configured_parameters(inteco_abs):
     text = inteco_abs("estimators", check=0).stdout
     found = json.loads(inteco_abs("estimators", "--json", check=0).stdout)["estimators"]
     assert found.keys() == ESTIMATORS.keys()

@@ -235,9 +235,7 @@ def test_loop_and_guardian_killed_at_once_leave_the_supervisor(live, replayed):
 
 @pytest.mark.long
 @pytest.mark.parametrize("kind", process_faults.KINDS, ids=process_faults.name_of)
-def test_if_processes_are_killed_or_frozen_the_board_is_made_safe_or_the_user_is_warned(
-    command_path, tmp_path, untraced, kind
-):
+def test_killed_or_frozen_processes_leave_the_board_safe_or_the_user_warned(command_path, tmp_path, untraced, kind):
     found = process_faults.run_with_faults(command_path, tmp_path, untraced, kind, 0)
     assert unexplained(found.trace, len(kind), {}) is None, found
     if process_faults.any_actor_left(kind):
@@ -386,7 +384,7 @@ def test_a_disk_that_refuses_ends_no_run_and_the_file_is_made_from_memory(live, 
 
 
 @pytest.mark.long
-def test_when_the_folder_vanishes_the_run_continues_and_its_session_is_in_the_second_place(live, replayed, tmp_path):
+def test_run_continues_in_the_second_place_when_the_folder_vanishes(live, replayed, tmp_path):
     spill = tmp_path / "spill"
     spill.mkdir()
     (tmp_path / "out").mkdir()

@@ -147,7 +147,7 @@ class Law:
 """
 
 
-def test_a_controller_that_cannot_be_made_is_refused_and_its_prints_are_not_the_report(dry_run, tmp_path):
+def test_controller_that_cannot_be_made_is_refused_without_its_prints(dry_run, tmp_path):
     (tmp_path / "law.py").write_text(REFUSES)
     report = dry_run(*VIRTUAL, "--controller", "law.py:Law", check=2)
     assert "cannot be made: ValueError: no" in report["refused"][0]["problem"]

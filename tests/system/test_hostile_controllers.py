@@ -113,7 +113,7 @@ ENDS = {
 
 @pytest.mark.long
 @pytest.mark.parametrize("statement", ENDS)
-def test_a_controller_that_dies_or_hangs_is_its_own_error_and_the_loop_continues_to_safe(run_with, statement):
+def test_dead_or_hung_controller_is_its_own_error_and_the_loop_ends_safe(run_with, statement):
     run, code, card, message = run_with(statement)
     assert (code, card["outcome"], card["reason"]) == (5, "fault", "CONTROLLER_ERROR"), message
     # a loaded computer may take more than 20 ms to end a process

@@ -49,7 +49,7 @@ def here(tmp_path_factory):
 
 
 @pytest.mark.parametrize("system", faked_system.NAMES)
-def test_a_stop_is_recorded_and_replayed_with_the_same_bits_and_the_rest_needs_linux(system, tmp_path, here):
+def test_stop_is_recorded_and_replayed_bit_for_bit_and_the_rest_needs_linux(system, tmp_path, here):
     (tmp_path / "umläut λ").mkdir()
     verbs = [*USUAL, ["annotate", "stop.mcap", "--note", "привет λ"], ["info", "stop.mcap", "--all"], *LINUX_ONLY]
     if system == "win32":

@@ -47,7 +47,7 @@ def test_what_a_tutorial_shows_is_what_the_commands_print_today():
 
 @pytest.mark.long
 @pytest.mark.untraced
-def test_so_it_is_with_all_pages_and_what_takes_long():
+def test_every_page_shows_what_the_commands_print_today():
     run = capture("--check", "--all")
     assert run.returncode == 0, run.stdout + run.stderr
 

@@ -18,7 +18,7 @@ def test_gains_are_named_where_only_they_differ(session, others):
     assert labels([session, others[0]]) == ["Mk 2, Mq 1", "Mk 10, Mq 4"]
 
 
-def test_controllers_are_named_where_they_differ_and_gains_only_among_sessions_of_the_same(session, others):
+def test_differing_controllers_are_named_and_gains_only_within_one(session, others):
     assert labels([session, others[1]]) == ["reaching-law", "relay"]
     assert labels([session, *others]) == ["reaching-law, Mk 2, Mq 1", "reaching-law, Mk 10, Mq 4", "relay"]
 

@@ -231,7 +231,7 @@ class TestDuring:
         assert "0.44 of 0.7" in line_with(Shown().picture(BRAKED), " drive ", " brake ")
         assert "0.70 limit" in line_with(Shown().picture(BRAKED._replace(brake=0.7)), " drive ", " brake ")
 
-    def test_of_several_stops_it_says_which(self):
+    def test_dashboard_names_which_of_several_stops_it_shows(self):
         config = load_config(settings=("experiment.stops=3",))
         shown = Shown(config=config)
         lines = shown.picture(BRAKED._replace(recent=course(*PHASES, seconds=0.1) + course(Phase.IDLE)))

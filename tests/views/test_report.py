@@ -169,7 +169,7 @@ class TestFile:
         with pytest.raises(AbsError, match=r"pip install 'inteco-abs\[report\]'"):
             check_report(tmp_path / "stop.html")
 
-    def test_of_a_failure_nothing_is_left(self, session, tmp_path):
+    def test_failed_report_leaves_no_file(self, session, tmp_path):
         with pytest.raises(ConfigError):
             write_report([session, session], tmp_path / "stop.html")
         assert list(tmp_path.iterdir()) == []

@@ -181,7 +181,7 @@ def test_paper_gets_the_figure_in_place_of_the_plots(browser, page):
         browser.command("Emulation.setEmulatedMedia", media="")
 
 
-def test_a_comparison_of_odd_sessions_draws_what_they_have_and_runs_none_of_their_code(
+def test_comparison_draws_odd_sessions_and_runs_none_of_their_code(
     browser, session, others, faulty, with_facts, tmp_path
 ):
     evil = with_facts(others[0], "controller", name=EVIL, estimator=EVIL)
