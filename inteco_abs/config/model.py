@@ -9,8 +9,9 @@ import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, field, fields
 from datetime import date
+from functools import cache
 from types import NoneType
-from typing import Annotated, Any, ClassVar, Final, Literal, TypeGuard, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, Final, Literal, TypeGuard, cast, get_args, get_origin, get_type_hints
 
 from annotated_types import Interval, MaxLen, MinLen
 
@@ -495,8 +496,13 @@ def section_of(table: Mapping[str, Any], key: str) -> Table:
 
 def key_types(section: type[Section]) -> Mapping[str, Any]:
     """Type of each key of a section, with its range."""
-    hints = get_type_hints(section, include_extras=True)
+    hints = _type_hints(cast(Any, section))  # mypy takes a protocol's class for unhashable
     return {key.name: hints[key.name] for key in _fields(section)}
+
+
+@cache
+def _type_hints(section: type[Any]) -> Mapping[str, Any]:
+    return get_type_hints(section, include_extras=True)
 
 
 def defaults(section: type[Section]) -> Table:

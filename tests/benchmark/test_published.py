@@ -20,8 +20,8 @@ from inteco_abs.signals import Estimate
 
 KNOWN = Controllers()
 RIGS = parse_draws("hard:700000").rigs
-BY_DEFAULT = {"grey-sliding", "neuro-fuzzy"}
-"""Two with lists in their state."""
+BY_DEFAULT = {"grey-sliding"}
+"""One with lists in its state."""
 
 
 @pytest.mark.parametrize(

@@ -27,6 +27,7 @@ def wiring(config):
     )
 
 
+@pytest.mark.long
 @pytest.mark.untraced
 def test_a_vendors_rig_is_commissioned_from_end_to_end(lab, whole_script):
     lab.session(*whole_script).go()

@@ -128,8 +128,9 @@ class TestVelocityRegister:
 
         return procedure
 
+    @pytest.mark.long
     @pytest.mark.untraced
-    @pytest.mark.parametrize(("counts", "turns"), [pytest.param(4096, (), marks=pytest.mark.long), (2048, ("10",))])
+    @pytest.mark.parametrize(("counts", "turns"), [(4096, ()), (2048, ("10",))])
     def test_it_agrees_with_turns_that_were_counted_well(self, lab, on_pci, counts, turns):
         on_pci(turns=turns, settings=[f"simulation.counts_per_turn={counts}"])
         assert lab.draft.config.encoders.counts_per_turn == counts

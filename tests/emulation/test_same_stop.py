@@ -60,7 +60,8 @@ def assert_same(ticks, reference):
     assert not problem, problem
 
 
-@pytest.mark.parametrize("link", ["pyusb", pytest.param("USB/IP", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("link", ["pyusb", "USB/IP"])
 def test_a_whole_stop_is_the_same_over_every_link_of_this_process(link):
     reference = in_process()
     assert TICK.array(reference)["phase"][-1] == Phase.DONE

@@ -70,7 +70,8 @@ def test_more_commands_on_their_way_than_at_first_have_room():
         assert_same(batch, scalars)
 
 
-@pytest.mark.parametrize("part", [5, pytest.param(1, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("part", [5, 1])
 def test_the_kernel_agrees_before_it_is_compiled_as_well(part):
     script = Path(__file__).with_name("one_by_one.py")
     # plain numpy warns of the 64-bit products that wrap, as they are meant to

@@ -33,14 +33,19 @@ def assert_same(trace, ticks):
     ("population", "settings"),
     [
         ("hard", ("controller.name=boundary-layer", "estimator.name=kalman", FORMULA)),
-        ("rough", ("controller.name=smith-relay", "estimator.name=euler", "experiment.drive_duty=0.9")),
-        (
+        pytest.param(
+            "rough",
+            ("controller.name=smith-relay", "estimator.name=euler", "experiment.drive_duty=0.9"),
+            marks=pytest.mark.long,
+        ),
+        pytest.param(
             "nominal",
             (
                 "controller.gains.Mk=10",
                 "controller.reference_points=[0.3, 0.1]",
                 "controller.reference_at_rad_s=[20, 90]",
             ),
+            marks=pytest.mark.long,
         ),
     ],
 )

@@ -64,7 +64,15 @@ def assert_same(both, *settings, compiled=True, **options):
     "settings",
     [
         pytest.param((), marks=pytest.mark.long),
-        ("experiment.stops=2", 'simulation.rig="rough:2"', "controller.name=boundary-layer", "estimator.name=kalman"),
+        pytest.param(
+            (
+                "experiment.stops=2",
+                'simulation.rig="rough:2"',
+                "controller.name=boundary-layer",
+                "estimator.name=kalman",
+            ),
+            marks=pytest.mark.long,
+        ),
         ('experiment.changes=["reference_slip=0.3@#40", "Mk=9@#90"]', "controller.name=boundary-layer"),
         ('simulation.rig="own:1"', f"simulation.population={json.dumps(DEFECTIVE)}"),
         ("simulation.wheel_sign=-1", "board.wheel_sign=-1", 'board.pwm_mode="8-bit"', "loop.rate_hz=1000.0"),

@@ -314,6 +314,7 @@ class TestLongerThanItsMemory:
         assert (session.incomplete, len(session.truth)) == ("", stop.card["ticks"] + 1)
         assert "the whole session is in" in stop.trouble
 
+    @pytest.mark.long
     def test_without_a_second_place_it_ends_in_order_before_memory_is_full(self, disturbed, devices, tmp_path, rings):
         with pytest.raises(SessionError, match="Its ticks are kept in") as refusal:
             disturbed(by=lambda: shutil.rmtree(tmp_path / "out"))

@@ -86,6 +86,7 @@ def test_a_step_in_time_is_recorded_followed_in_every_stop_and_replayed(run_at, 
     assert_replays(session)
 
 
+@pytest.mark.long
 def test_a_ramp_over_speed_is_that_of_the_estimated_speed(run_at, tmp_path):
     made = run_at(tmp_path / "ramp.mcap", (*QUICK, *RAMP, *IDEAL_BRAKE))
     ticks = braking_of(made.session)[1:]
