@@ -442,10 +442,9 @@ def _pin_mistakes(wiring: BoardConfig, logic: Logic) -> Iterator[ConfigIssue]:
     if (wiring.watchdog_pin >= 0) is not (wiring.watchdog_contact_pin >= 0):
         problem = "a watchdog is proven before each run by its contact: name both pins or neither (docs/watchdog.md)"
         yield ConfigIssue("board.watchdog_contact_pin", problem)
-    needed = {"pin_output", "pin_direction"} if wiring.watchdog_pin >= 0 else {"pin_output"}
-    if _latched(wiring) and not needed <= logic.send.fields.keys():
+    if _latched(wiring) and not {"pin_output", "pin_direction"} <= logic.send.fields.keys():
         key = "watchdog_pin" if wiring.watchdog_pin >= 0 else "numbering_pins"
-        yield ConfigIssue(f"board.{key}", f"{logic.send.title} has no {' and '.join(sorted(needed))}")
+        yield ConfigIssue(f"board.{key}", f"{logic.send.title} has no pin_direction and pin_output")
 
 
 def _latched(wiring: BoardConfig) -> bool:

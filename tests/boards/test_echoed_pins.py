@@ -121,6 +121,20 @@ def test_motors_lose_power_50_ms_after_the_last_pulse_for_any_host(new_pins_benc
         assert board.watchdog_closed is True  # it was armed all the time: the lab's ON button is what stays off
 
 
+def test_pin_0_can_feed_a_watchdog_too(new_pins_bench):
+    settings = (setting.replace("watchdog_pin=17", "watchdog_pin=0") for setting in WATCHED)
+    bench = new_pins_bench("board.pwm_functions=[]", *settings)
+    with bench.board as board:
+        assert board.watchdog_closed is False
+
+
+def test_a_constant_pin_is_beside_the_number_in_the_latch(new_pins_bench):
+    bench = new_pins_bench("board.numbering_pins=[7]", "board.constants={pin3=1}")
+    with bench.board:
+        assert bench.exchange(0.5).board_flags is BoardFlags.NONE
+    assert [sent["pin_output"] for sent in bench.settings_sent] == [1 << 3 | (1 + i) % 2 << 7 for i in range(3)]
+
+
 def test_a_rescue_feeds_the_watchdog_once_at_most(new_usb2_bench):
     bench = new_usb2_bench(*WATCHED)
     board = bench.board.__enter__()
@@ -154,6 +168,14 @@ def test_a_contact_that_is_closed_before_anything_feeds_it_is_refused(new_usb2_b
 def test_a_pin_has_one_use_and_a_watchdog_a_contact(new_usb2_bench, settings, words):
     with pytest.raises(ConfigError, match=words):
         new_usb2_bench(*settings)
+
+
+@pytest.mark.parametrize(
+    ("settings", "key"), [([], "pwm_pins"), (["board.pwm_functions=[0]"], "pwm_functions")], ids=["pins", "functions"]
+)
+def test_a_logic_without_a_pin_mode_has_no_pwm_functions(new_usb2_bench, settings, key):
+    with pytest.raises(ConfigError, match=rf"board\.{key}: .* has no pin mode: set board\.pwm_functions to \[\]"):
+        new_usb2_bench("board.frame_map=tras", "board.constants={}", *settings)
 
 
 @pytest.mark.parametrize("setting", ["board.timer=0", "board.numbering_pins=[7]", "board.watchdog_pin=8"])

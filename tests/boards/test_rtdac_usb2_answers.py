@@ -135,3 +135,23 @@ def test_a_tick_waits_two_periods_for_its_answer_and_at_least_1_ms(new_usb2_benc
         bench.board.hurried = True
         bench.exchange(0.4, 0.6)
     assert bench.link.timeout_s == patient_s, "leaving waits as long as opening"
+
+
+@pytest.mark.parametrize(
+    "settings", [(), ("board.timer=0",), ("board.numbering_pins=[7]",), ("board.numbering_pwm=-1",)], ids=str
+)
+def test_only_a_numbered_board_after_a_good_exchange_has_its_exchanges_compiled(new_usb2_bench, settings):
+    bench = new_usb2_bench(*settings)
+    assert bench.board.exchange_parts() is None
+    with bench.board as board:
+        bench.exchange(0.5)
+        assert (board.exchange_parts() is None) == bool(settings)
+        bench.fail_next("no answer")
+        bench.exchange(0.5)
+        assert board.exchange_parts() is None
+
+
+def test_the_board_names_the_engine_of_its_link(new_usb2_bench):
+    bench = new_usb2_bench()
+    bench.board.engine = "usbdevfs"
+    assert bench.board.engine == bench.board._link.engine == "usbdevfs"
