@@ -1,5 +1,6 @@
 """Analysis of sessions: replay, comparison, what-if, regression tests and statistics."""
 
+from inteco_abs.analysis.arithmetic import recorded_arithmetic
 from inteco_abs.analysis.baseline import previous_card
 from inteco_abs.analysis.catalogue import COLUMNS, session_files, session_row, session_rows, sort_rows
 from inteco_abs.analysis.closed_loop import Continuation, continued
@@ -14,7 +15,6 @@ from inteco_abs.analysis.replay import (
     Replay,
     before_the_gap,
     decisions,
-    recorded_arithmetic,
     replay_recorded,
     replay_session,
     require_known,

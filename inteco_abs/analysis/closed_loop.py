@@ -15,9 +15,10 @@ from typing import Any, ClassVar, Final, Self
 
 import numpy as np
 
+from inteco_abs.analysis.arithmetic import recorded_arithmetic
 from inteco_abs.analysis.gains import changes_for, make_due
 from inteco_abs.analysis.open_loop import braking_start
-from inteco_abs.analysis.replay import checked_blocks, recorded_arithmetic, require_inputs, samples_of
+from inteco_abs.analysis.replay import checked_blocks, require_inputs, samples_of
 from inteco_abs.analysis.tolerance import Array
 from inteco_abs.boards import Board, InProcessLink, board_behind
 from inteco_abs.config import RigConfig, SimulationConfig, load_config

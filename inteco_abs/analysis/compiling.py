@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from inteco_abs import elementary
+from inteco_abs.analysis.arithmetic import recorded_with
 from inteco_abs.control import Controller, Estimator
 from inteco_abs.sessions import Session
 from inteco_abs.warm_up import CompiledLoops, paying_loops
@@ -21,9 +22,3 @@ def compiled_loops(
         return None
     key, module = ("replay", type(estimator), type(controller)), "inteco_abs.analysis.compiled_replay"
     return paying_loops(module, key, math.inf if compiled else session.tick_count)
-
-
-def recorded_with(session: Session) -> str:
-    """Name of the arithmetic that the session was recorded with."""
-    name: str = session.metadata.get("software", {}).get("arithmetic", elementary.PORTABLE)
-    return name

@@ -20,8 +20,9 @@ from typing import Any, Final, Self
 import numpy as np
 import tomli_w
 
+from inteco_abs.analysis.arithmetic import recorded_arithmetic
 from inteco_abs.analysis.open_loop import braking_start
-from inteco_abs.analysis.replay import Replay, decisions, recorded_arithmetic, replay_session, require_known
+from inteco_abs.analysis.replay import Replay, decisions, replay_session, require_known
 from inteco_abs.analysis.tolerance import Array, parse_tolerances
 from inteco_abs.control import Controller, build_pipeline, control_check
 from inteco_abs.errors import ConfigError, ConfigIssue, SessionError, describe_disk, near_match

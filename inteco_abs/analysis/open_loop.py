@@ -14,9 +14,10 @@ from typing import Any, Final, NamedTuple, cast
 import numpy as np
 import tomli_w
 
+from inteco_abs.analysis.arithmetic import recorded_arithmetic
 from inteco_abs.analysis.compiling import compiled_loops
 from inteco_abs.analysis.gains import changes_for, make_due
-from inteco_abs.analysis.replay import recorded_arithmetic, require_known
+from inteco_abs.analysis.replay import require_known
 from inteco_abs.analysis.tolerance import Array
 from inteco_abs.config import RigConfig, apply_setting, parse_config
 from inteco_abs.control import (

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from html import escape
 from typing import Any, Final
 
 import numpy as np
 
-from inteco_abs import elementary
-from inteco_abs.analysis.compiling import compiled_loops, recorded_with
+from inteco_abs.analysis.arithmetic import recorded_arithmetic
+from inteco_abs.analysis.compiling import compiled_loops
 from inteco_abs.analysis.gains import changed_gains, gain_changes, steps
 from inteco_abs.analysis.tolerance import DISCRETE, OUTPUTS, Array, Shift, Shifts, Tolerance, bits
 from inteco_abs.control import REFERENCE, Controller, Pipeline, build_pipeline, control_check, gains_in_force
@@ -29,7 +27,6 @@ from inteco_abs.sessions import (
 from inteco_abs.signals import BoardFlags, Phase, Reason, Sample
 
 _INPUTS: Final = tuple(column.name for column in TICK.columns if column.role is Role.INPUT)
-_ONE_ARITHMETIC: Final = threading.RLock()
 _COMPARED: Final = ("time_ns", "tick", "dt_s", *OUTPUTS)
 _LONGEST_S: Final = (1 << 64) * 1e-9
 """Range of a clock of 64 bits in ns."""
@@ -142,20 +139,6 @@ def before_the_gap(session: Session) -> Session:
     if not whole:
         raise SessionError(f"{session.path}: ticks 0..{numbers[0] - 1} are missing, so nothing can be replayed")
     return session.first(whole)
-
-
-@contextmanager
-def recorded_arithmetic(session: Session) -> Iterator[None]:
-    """Compute with the arithmetic that the session was recorded with; other threads' replays wait meanwhile.
-
-    Make the pipeline in it, too. Raises SessionError for an arithmetic that is not known here.
-    """
-    name = recorded_with(session)
-    if name not in elementary.ARITHMETICS:
-        known = ", ".join(elementary.ARITHMETICS)
-        raise SessionError(f"{session.path}: software.arithmetic is {name!r}: must be one of {known}")
-    with _ONE_ARITHMETIC, elementary.arithmetic(name):
-        yield
 
 
 def replay_recorded(

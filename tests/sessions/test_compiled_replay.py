@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 from inteco_abs import warm_up
 from inteco_abs.analysis import alternative, compiled_replay, replay_session, what_if
+from inteco_abs.analysis.arithmetic import recorded_with
 from inteco_abs.analysis.compiled_replay import CompiledReplay
-from inteco_abs.analysis.replay import decisions, recorded_with
+from inteco_abs.analysis.replay import decisions
 from inteco_abs.control import CONTROLLERS, ESTIMATORS, build_pipeline, control_check
 from inteco_abs.sessions import TICK, read_session, session_config
 from inteco_abs.signals import BoardFlags, BrakeDemand, Phase, Reason
