@@ -11,7 +11,7 @@ AbsError
 ├── SessionError   a session file cannot be written or used
 ├── CaptureError   a capture of the wire cannot be written, imported or used
 └── ProbeError     a step of the commissioning failed
-    ├── AnswerError    the operator's answer is none that was asked for
+    ├── AnswerError    the operator's answer was not one of those asked for
     └── Stopped        the operator left the commissioning
 """
 
@@ -28,9 +28,9 @@ from typing import Final, NamedTuple, Self
 
 _LONGEST_VALUE: Final = 60
 _LONGEST: Final = 2000
+"""Characters that are kept of another library's error."""
 _PLACE: Final = re.compile(r".+, line \d+")
 """A note that `line_of` made."""
-"""Characters that are kept of another library's error."""
 _ROOM: Final = "make room there, or name another place"
 _ELSEWHERE: Final = "name another place, where you may write"
 _TO_DO: Final = {
@@ -149,7 +149,7 @@ class ProbeError(AbsError):
 
 
 class AnswerError(ProbeError):
-    """The operator's answer is none that was asked for: nothing is wrong with board or profile."""
+    """The operator's answer was not one of those asked for: nothing is wrong with board or profile."""
 
 
 class Stopped(ProbeError):  # noqa: N818  leaving is nothing wrong

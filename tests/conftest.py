@@ -35,7 +35,7 @@ PATIENCE_S = 30.0
 
 
 def pytest_runtest_logreport(report):
-    """Note what no busy computer causes: an error of a teardown, or (when is ???) a test that ends its process."""
+    """Note what no busy computer causes: an error of a teardown, or a test that ended its process (phase "???")."""
     if report.failed and report.when not in {"setup", "call"}:
         _final.append(report.nodeid)
 

@@ -340,7 +340,8 @@ class FrameBoard(Board):
         )
         if echo != (drive, brake):
             raise LinkError(
-                f"the board reports PWM widths {echo}, sent were {(drive, brake)}: an old frame, or another master"
+                f"the board reports PWM widths {echo}, but {(drive, brake)} were sent: the frame is old, or another "
+                "program drives the board"
             )
         self._late = False
         self._newest_frame = frame

@@ -134,8 +134,8 @@ def _require_sense(motion: WheelMotion, config: RigConfig) -> None:
     for name, key, counts in (("lower", "road_sign", motion.road_counts), ("upper", "wheel_sign", motion.wheel_counts)):
         if turns(counts, config) < -_MOVED_TURNS / 2:
             raise ProbeError(
-                f"the {name} wheel counts backwards when driven: board.{key} is wrong. --redo wheels, and turn it "
-                "the way the drive does"
+                f"the {name} wheel counts backwards when driven: board.{key}, the sign found by hand, is wrong: run "
+                "`commission --redo wheels` and turn this wheel the way the drive turns it"
             )
 
 

@@ -118,5 +118,5 @@ def require_rate(board: Board, period_ns: int) -> dict[str, str]:
     raise BoardError(
         f"the board's exchanges take up to {spread.p99:.0f} us (99 % of {_RATE_TRIALS}), longer than the period of "
         f"{period_us:g} us. If this computer is busy, try again; else set loop.rate_hz to {rate_hz} or less, with "
-        f"an estimator.window_s of at least one period. see inteco-abs doctor --board ({seen})"
+        f"an estimator.window_s of at least one period. See inteco-abs doctor --board ({seen})"
     )

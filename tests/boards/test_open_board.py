@@ -286,7 +286,7 @@ class TestTick:
             tampered = sealed(COMMAND.encode({"width0": 3}, sequence=1))
             paced.bench.front_end.bulk_out(tampered)
             assert paced.tick(0.5, 0.0).board_flags is BoardFlags.STALE
-            assert "another master" in str(paced.board.last_error)
+            assert "another program" in str(paced.board.last_error)
 
     def test_a_clock_that_drifts_is_not_taken_for_lateness(self):
         with Paced() as paced:

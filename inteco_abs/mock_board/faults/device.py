@@ -12,7 +12,6 @@ from inteco_abs.mock_board.faults.fault import Fault
 from inteco_abs.mock_board.faults.schedule import Schedule
 
 _ENCODERS: Final = ("road", "wheel")
-_MOTORS: Final = ("drive", "brake")
 
 
 class FaultyDevice(Device):

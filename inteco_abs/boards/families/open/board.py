@@ -220,7 +220,9 @@ class OpenBoard(Board):
             raise LinkError(self._let_go(state, trip))
         found = (width1, width0) if self._swapped else (width0, width1)
         if found != commanded:
-            raise LinkError(f"the board has PWM widths {found}, sent were {commanded}: is there another master?")
+            raise LinkError(
+                f"the board has PWM widths {found}, but {commanded} were sent: does another program drive it?"
+            )
         wiring = self._wiring
         return wiring.wheel_sign * counts[wiring.wheel_encoder], wiring.road_sign * counts[wiring.road_encoder]
 
@@ -237,7 +239,7 @@ class OpenBoard(Board):
             raise LinkError(self._let_go(State.TRIPPED, int(status["trip"])))
         if _widths_of(status) != (0, 0):
             raise LinkError(
-                f"the board has PWM widths {_widths_of(status)} before it is armed: is there another master?"
+                f"the board has PWM widths {_widths_of(status)} before it is armed: does another program drive it?"
             )
         if status["state"] != State.ARMED:  # else the answer to an earlier ARM was lost
             self._ask(ARM, {"answer": int(status["challenge"]) ^ CHALLENGE_MASK})

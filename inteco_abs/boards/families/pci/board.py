@@ -182,7 +182,7 @@ class RtdacPci(Board):
             had = had[::-1]
         if certain and had != before:
             problem = f"the board had PWM widths {had}, last written were {before}"
-            raise LinkError(f"{problem}: is there another master, or was it reset?")
+            raise LinkError(f"{problem}: does another program drive it, or was it reset?")
         return counts
 
     def _write_safe(self) -> None:
@@ -213,7 +213,9 @@ class RtdacPci(Board):
             raise LinkError(f"the board's logic is 0x{logic:04X} now: it was reset or replaced")
         echo = PWM_WIDTH.decode(values[1]), PWM_WIDTH.decode(values[2])
         if echo != (drive, brake):
-            raise LinkError(f"the board has PWM widths {echo}, written were {(drive, brake)}: is there another master?")
+            raise LinkError(
+                f"the board has PWM widths {echo}, but {(drive, brake)} were written: does another program drive it?"
+            )
 
     def _close(self) -> None:
         self._registers.close()
