@@ -10,7 +10,7 @@ AbsError
 ├── ControllerError  a user's controller has failed in its own process
 ├── SessionError   a session file cannot be written or used
 ├── CaptureError   a capture of the wire cannot be written, imported or used
-└── ProbeError     a step of the commissioning failed
+└── CommissioningError  a step of the commissioning failed
     ├── AnswerError    the operator's answer was not one of those asked for
     └── Stopped        the operator left the commissioning
 """
@@ -144,15 +144,15 @@ class CaptureError(AbsError):
     """A capture of the wire cannot be written, imported, read or replayed."""
 
 
-class ProbeError(AbsError):
+class CommissioningError(AbsError):
     """A step of the commissioning failed; the draft stays as it was before the step."""
 
 
-class AnswerError(ProbeError):
+class AnswerError(CommissioningError):
     """The operator's answer was not one of those asked for: nothing is wrong with board or profile."""
 
 
-class Stopped(ProbeError):  # noqa: N818  leaving is nothing wrong
+class Stopped(CommissioningError):  # noqa: N818  leaving is nothing wrong
     """The operator left the commissioning, which can continue later."""
 
     exit_code = 130

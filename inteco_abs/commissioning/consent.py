@@ -9,7 +9,7 @@ from inteco_abs.boards import STILL_ON, PlannedWord, Remark
 from inteco_abs.commissioning.operator import agree
 from inteco_abs.commissioning.step import StepContext
 from inteco_abs.config import RigConfig
-from inteco_abs.errors import ProbeError, Stopped
+from inteco_abs.errors import CommissioningError, Stopped
 
 _NAME: Final = "first_write"
 
@@ -17,8 +17,8 @@ _NAME: Final = "first_write"
 def agree_on_first_write(context: StepContext, config: RigConfig) -> dict[str, list[dict[str, Any]]]:
     """Show what entering the board with `config` would change, and ask unless an earlier step had the same consent.
 
-    The board is only read. Returns what was shown, for the step's result. Raises ProbeError if a PWM runs that the
-    wiring does not use, Stopped if the operator refuses.
+    The board is only read. Returns what was shown, for the step's result. Raises CommissioningError if a PWM runs that
+    the wiring does not use, Stopped if the operator refuses.
     """
     with context.rig.open(config).reading() as board:
         board.require_writable()
@@ -37,11 +37,11 @@ def agree_on_first_write(context: StepContext, config: RigConfig) -> dict[str, l
 
 
 def _require_others_off(planned: Sequence[PlannedWord]) -> None:
-    """Raise ProbeError if an unused channel is on: before the sign-off, it may be a motor's."""
+    """Raise CommissioningError if an unused channel is on: before the sign-off, it may be a motor's."""
     running = [name for one in planned if one.remark is Remark.RUNS for name in one.names]
     if running:
         keys = ", ".join(f"{name} = 0" for name in running)
-        raise ProbeError(
+        raise CommissioningError(
             f"PWM channels that the profile does not use are on: {', '.join(running)}. {STILL_ON}, then switch the "
             f"board off and on; or set them in [board.constants], as in {keys}"
         )

@@ -10,7 +10,7 @@ from inteco_abs.commissioning.operator import agree, ask_for, wait_for
 from inteco_abs.commissioning.reading import open_for_reading, require_outputs_off, require_same_board
 from inteco_abs.commissioning.rig_access import TURNS, Wheel
 from inteco_abs.commissioning.step import Facts, StepContext, today
-from inteco_abs.errors import ProbeError
+from inteco_abs.errors import CommissioningError
 
 _TRIALS: Final = 3
 _NAMES: Final[dict[Wheel, str]] = {"wheel": "upper", "road": "lower"}
@@ -29,7 +29,7 @@ class _Encoder(NamedTuple):
 def turn_wheels(context: StepContext) -> Facts:
     """Have both wheels turned by hand; write channels, signs and counts per turn into the draft.
 
-    Raises ProbeError if a wheel stays unclear, or if the wheels differ in counts per turn.
+    Raises CommissioningError if a wheel stays unclear, or if the wheels differ in counts per turn.
     """
     context.operator.say(
         "  Power interface off. Lift the balance lever, so that the wheels do not touch. Forwards is as the drive\n"
@@ -45,7 +45,7 @@ def turn_wheels(context: StepContext) -> Facts:
         road = _turn(context, board, "road", wheel)
         images.append(board.survey().raw.hex())
     if wheel.per_turn != road.per_turn:
-        raise ProbeError(
+        raise CommissioningError(
             f"{wheel.per_turn} counts per turn on the upper wheel, {road.per_turn} on the lower: a configuration has "
             "one number for both; if the encoders are the same, you miscounted the turns"
         )
@@ -68,7 +68,7 @@ def _turn(context: StepContext, board: Board, which: Wheel, other: _Encoder | No
         except Unclear as unclear:
             trouble = str(unclear)
             context.operator.say(f"  {trouble}")
-    raise ProbeError(f"{_NAMES[which]} wheel: not clear in {_TRIALS} trials; the last time {trouble}")
+    raise CommissioningError(f"{_NAMES[which]} wheel: not clear in {_TRIALS} trials; the last time {trouble}")
 
 
 def _understood(context: StepContext, turned: HandTurn, other: _Encoder | None) -> _Encoder:

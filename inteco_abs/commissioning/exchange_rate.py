@@ -6,7 +6,7 @@ from typing import Final
 
 from inteco_abs.commissioning.reading import open_for_reading, require_same_board
 from inteco_abs.commissioning.step import Facts, StepContext
-from inteco_abs.errors import LinkError, ProbeError
+from inteco_abs.errors import CommissioningError, LinkError
 from inteco_abs.realtime import Histogram, quantiles
 
 READS: Final = 1000
@@ -23,7 +23,7 @@ _RATES_HZ: Final = (10_000.0, 5000.0, 2000.0, 1000.0, 500.0, 250.0, 200.0, 100.0
 def measure_reads(context: StepContext) -> Facts:
     """Time 1000 readings; write the loop rate that they allow into the draft.
 
-    Raises ProbeError if more than 10 readings fail, or if they are too slow for any rate.
+    Raises CommissioningError if more than 10 readings fail, or if they are too slow for any rate.
     """
     config = context.draft.config
     names = [f"encoder{i}_count" for i in (config.board.road_encoder, config.board.wheel_encoder)]
@@ -38,7 +38,9 @@ def measure_reads(context: StepContext) -> Facts:
             except LinkError as error:
                 failed += 1
                 if failed > _MOST_FAILED:
-                    raise ProbeError(f"{failed} of {len(times_us) + failed} readings failed: {error}") from error
+                    raise CommissioningError(
+                        f"{failed} of {len(times_us) + failed} readings failed: {error}"
+                    ) from error
             else:
                 times_us.append((context.rig.now_ns() - start_ns) * 1e-3)
     spread = quantiles(times_us)
@@ -62,7 +64,7 @@ def measure_reads(context: StepContext) -> Facts:
 def kept_rate(wanted_hz: float, read_us: float) -> float:
     """`wanted_hz`, or else the highest usual rate below it that exchanges keep if a reading takes `read_us`.
 
-    Raises ProbeError if none fits.
+    Raises CommissioningError if none fits.
     """
     possible_hz = 1e6 / (_MARGIN * MORE_THAN_A_READ * read_us)
     if wanted_hz <= possible_hz:
@@ -70,4 +72,6 @@ def kept_rate(wanted_hz: float, read_us: float) -> float:
     for rate_hz in _RATES_HZ:
         if rate_hz <= min(possible_hz, wanted_hz):
             return rate_hz
-    raise ProbeError(f"a reading takes up to {read_us:.0f} us (99.9 %): too slow for any rate; no hub, a short cable")
+    raise CommissioningError(
+        f"a reading takes up to {read_us:.0f} us (99.9 %): too slow for any rate; no hub, a short cable"
+    )

@@ -12,7 +12,7 @@ from inteco_abs.boards import Board
 from inteco_abs.commissioning.operator import Operator
 from inteco_abs.commissioning.reading import read_patiently
 from inteco_abs.commissioning.rig_access import TURNS, RigAccess
-from inteco_abs.errors import ProbeError
+from inteco_abs.errors import CommissioningError
 
 USUAL_COUNTS: Final = (2048, 4096)
 """Per turn: in the paper and on the vendor's rig."""
@@ -43,7 +43,8 @@ class Unclear(Exception):  # noqa: N818  not yet an error: the operator may turn
 def watch(rig: RigAccess, board: Board, operator: Operator) -> HandTurn:
     """Wait until all channels rest for 3 s; return the one that counted.
 
-    Raises Unclear if the counts are ambiguous, LinkError if the board stops answering, ProbeError after three minutes.
+    Raises Unclear if the counts are ambiguous, LinkError if the board stops answering, CommissioningError after three
+    minutes.
     """
     names = {int(match[1]): name for name in board.survey().values if (match := _CHANNEL.fullmatch(name))}
     before = read_patiently(board, names.values())
@@ -66,7 +67,9 @@ def watch(rig: RigAccess, board: Board, operator: Operator) -> HandTurn:
         if now_ns - moved_ns >= (_REST_S if begun else _WAIT_S) * 1e9:
             return judge(net, travelled)
         if now_ns - started_ns >= _LONGEST_S * 1e9:
-            raise ProbeError(f"counters still move after {_LONGEST_S:g} s: is a motor on? Channels {_moving(net)}")
+            raise CommissioningError(
+                f"counters still move after {_LONGEST_S:g} s: is a motor on? Channels {_moving(net)}"
+            )
 
 
 def judge(net: Mapping[int, int], travelled: Mapping[int, int]) -> HandTurn:

@@ -10,17 +10,19 @@ from inteco_abs.commissioning.operator import agree
 from inteco_abs.commissioning.reading import open_for_reading, outputs_left_on
 from inteco_abs.commissioning.step import Facts, StepContext
 from inteco_abs.config import load_config, profiles
-from inteco_abs.errors import ConfigError, ProbeError
+from inteco_abs.errors import CommissioningError, ConfigError
 
 _BYTES_A_LINE: Final = 16
 _CANDIDATE: Final = "_abs_candidate"
 
 
 def list_boards(context: StepContext) -> Facts:
-    """List the devices that may be the board, as the kernel knows them. Raises ProbeError if there are none."""
+    """List the devices that may be the board, as the kernel knows them. Raises CommissioningError if there are none."""
     found = context.rig.devices(context.draft.config)
     if not found:
-        raise ProbeError(f"no device for {context.rig.address}: plug the board in, switch it on, try another cable")
+        raise CommissioningError(
+            f"no device for {context.rig.address}: plug the board in, switch it on, try another cable"
+        )
     for one in found:
         context.operator.say(f"  {one.address}  {one.description}")
     return {"devices": [{**one._asdict(), "told": dict(one.told)} for one in found]}
@@ -83,7 +85,9 @@ def _write(context: StepContext, identity: Identity) -> None:
         with open_for_reading(context, replace(context.draft.config, board=changed)):
             pass
     except ConfigError as error:
-        raise ProbeError(f"logic 0x{identity.logic_version:04X} cannot be driven by this version: {error}") from error
+        raise CommissioningError(
+            f"logic 0x{identity.logic_version:04X} cannot be driven by this version: {error}"
+        ) from error
     if family_of(board.kind).reports_name:
         found["board.application_names"] = [identity.application_name]
     context.draft.write(found)

@@ -14,7 +14,7 @@ from inteco_abs.commissioning.outputs import PROVES_ITSELF, Outputs, WheelMotion
 from inteco_abs.commissioning.permission import DRIVE_LIMIT, outputs_permitted
 from inteco_abs.commissioning.step import Facts, StepContext, today
 from inteco_abs.config import RigConfig
-from inteco_abs.errors import ProbeError
+from inteco_abs.errors import CommissioningError
 
 PHRASE: Final = "the cover is closed, my hand is at the emergency switch"
 _REQUEST: Final = (
@@ -71,7 +71,7 @@ def try_motors(context: StepContext) -> Facts:
     with outputs(context, config) as out:
         _require_rest(out)
         if _nudge(out, config) is not None:
-            raise ProbeError(
+            raise CommissioningError(
                 "a wheel moved although the emergency switch is pressed: do not use this rig until it cuts the drive"
             )
     context.operator.say("  nothing moved: the emergency switch cuts the drive")
@@ -96,7 +96,7 @@ def try_motors(context: StepContext) -> Facts:
 def _require_rest(out: Outputs) -> None:
     for motion in out.hold(0.0, 0.0, _COAST_S):
         if max(abs(motion.wheel_counts), abs(motion.road_counts)) > _MOST_STILL_COUNTS:
-            raise ProbeError("a wheel moves although both outputs are off: wait until both are at rest")
+            raise CommissioningError("a wheel moves although both outputs are off: wait until both are at rest")
 
 
 def _nudge(out: Outputs, config: RigConfig) -> tuple[float, WheelMotion] | None:
@@ -111,10 +111,10 @@ def _nudge(out: Outputs, config: RigConfig) -> tuple[float, WheelMotion] | None:
 
 
 def _drive(out: Outputs, config: RigConfig) -> float:
-    """Duty from which both wheels turn forwards. Raises ProbeError with what to check."""
+    """Duty from which both wheels turn forwards. Raises CommissioningError with what to check."""
     nudged = _nudge(out, config)
     if nudged is None:
-        raise ProbeError(
+        raise CommissioningError(
             f"no wheel moved at up to {DRIVE_LIMIT:.0%} drive: is the power interface on, the emergency switch "
             f"released, and the drive really on PWM {config.board.drive_pwm}? If not, --set board.drive_pwm=N"
         )
@@ -123,7 +123,7 @@ def _drive(out: Outputs, config: RigConfig) -> float:
         _require_sense(motion, config)
     for name, counts in (("lower", motion.road_counts), ("upper", motion.wheel_counts)):
         if turns(counts, config) < _MOVED_TURNS / 2:
-            raise ProbeError(
+            raise CommissioningError(
                 f"the {name} wheel does not turn with the other: lower the balance lever; if both do turn, their "
                 "encoders are not the ones that you turned by hand: --redo wheels"
             )
@@ -133,7 +133,7 @@ def _drive(out: Outputs, config: RigConfig) -> float:
 def _require_sense(motion: WheelMotion, config: RigConfig) -> None:
     for name, key, counts in (("lower", "road_sign", motion.road_counts), ("upper", "wheel_sign", motion.wheel_counts)):
         if turns(counts, config) < -_MOVED_TURNS / 2:
-            raise ProbeError(
+            raise CommissioningError(
                 f"the {name} wheel counts backwards when driven: board.{key}, the sign found by hand, is wrong: run "
                 "`commission --redo wheels` and turn this wheel the way the drive turns it"
             )
@@ -149,7 +149,9 @@ def _find_dead_zone(out: Outputs, config: RigConfig) -> tuple[float, float]:
         if braked.onset is not None:
             return braked.onset, coast
         duty = max(0.0, braked.reached - 2 * _BRAKE_STEP)  # the last steps may have been too slow to show it
-    raise ProbeError("the wheels stop too soon to try all of the brake: is it stuck? Turn the upper wheel by hand")
+    raise CommissioningError(
+        "the wheels stop too soon to try all of the brake: is it stuck? Turn the upper wheel by hand"
+    )
 
 
 def _run_up(out: Outputs) -> None:
@@ -158,7 +160,7 @@ def _run_up(out: Outputs) -> None:
         if motion.road_speed_rad_s >= _SPEED_RAD_S:
             return
     if motion.road_speed_rad_s < _ENOUGH_RAD_S:
-        raise ProbeError(
+        raise CommissioningError(
             f"{DRIVE_LIMIT:.0%} drive reach {motion.road_speed_rad_s:.1f} rad/s within {_RUN_UP_S:g} s, too slow to "
             "try the brake: does something rub?"
         )
@@ -191,7 +193,7 @@ def _counts_per_turn(out: Outputs, config: RigConfig) -> int | None:
 
 
 def _compare_counts(context: StepContext, config: RigConfig, by_velocity: int | None) -> None:
-    """Ask the operator if the velocity register and the turns by hand disagree. Raises ProbeError if not certain."""
+    """Ask the operator if velocity register and turns by hand disagree. Raises CommissioningError if not certain."""
     by_hand = config.encoders.counts_per_turn
     if by_velocity is None or abs(by_velocity - by_hand) <= _MOST_OFF * by_hand:
         return
@@ -200,13 +202,13 @@ def _compare_counts(context: StepContext, config: RigConfig, by_velocity: int | 
         f"the vendor's has; turning by hand gave {by_hand}"
     )
     if not agree(context.operator, f"Did you turn each wheel exactly as often as asked, so that {by_hand} is right?"):
-        raise ProbeError("the counts per turn are not certain: --redo wheels")
+        raise CommissioningError("the counts per turn are not certain: --redo wheels")
 
 
 def _ramp(out: Outputs, config: RigConfig, first: float, coast_rad_s2: float) -> _Braked:
     """Raise the brake until the upper wheel slows down faster than by coasting, in two steps in a row.
 
-    Raises ProbeError at the brake limit.
+    Raises CommissioningError at the brake limit.
     """
     least_rad_s = 2.0 * math.pi * turns(1, config) * _RESOLUTION_COUNTS / _STEP_S
     slowed = 0
@@ -222,7 +224,7 @@ def _ramp(out: Outputs, config: RigConfig, first: float, coast_rad_s2: float) ->
         if now.wheel_speed_rad_s < _SLOWEST_RAD_S:
             return _Braked(duty, None)
         before = now
-    raise ProbeError(
+    raise CommissioningError(
         f"the brake did nothing up to {duty:.2f}: check its supply, its cable, and that it is on PWM "
         f"{config.board.brake_pwm}. If not, --set board.brake_pwm=N"
     )

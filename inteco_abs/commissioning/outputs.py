@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 from inteco_abs.commissioning.step import StepContext
 from inteco_abs.config import RigConfig
-from inteco_abs.errors import ProbeError
+from inteco_abs.errors import CommissioningError
 from inteco_abs.realtime.processes.manual import ManualClient
 from inteco_abs.signals import EXPLANATIONS, Command, Reason
 
@@ -43,7 +43,7 @@ class Outputs:
         self._side = side
 
     def beat(self, drive: float, brake: float) -> WheelMotion:
-        """Request these duties and wait for the next tick. Raises ProbeError if the guard takes the outputs away."""
+        """Request these duties and wait for the next tick. Raises CommissioningError if the guard ends them."""
         side = self._side
         side.request.keep_on(Command(drive, brake), side.now_ns())
         ticks = side.next_ticks()
@@ -52,7 +52,7 @@ class Outputs:
         last = ticks[-1]
         reason = Reason(int(last["reason"]))
         if reason is not Reason.NONE:
-            raise ProbeError(f"outputs switched off: {EXPLANATIONS[reason]}")
+            raise CommissioningError(f"outputs switched off: {EXPLANATIONS[reason]}")
         counts = int(last["wheel_count"]), int(last["road_count"])
         speeds = float(last["wheel_speed_rad_s"]), float(last["road_speed_rad_s"])
         return WheelMotion(int(last["time_ns"]) * 1e-9, *counts, *speeds)
@@ -60,8 +60,8 @@ class Outputs:
     def measured(self, name: str) -> float | None:
         """A quantity that the board itself measures, by the board's name for it, with both outputs off.
 
-        None if it does not measure it; only the PCI board measures any. Raises ProbeError if the guard takes the
-        outputs away.
+        None if it does not measure it; only the PCI board measures any. Raises CommissioningError if the guard takes
+        the outputs away.
         """
         self._side.ask()
         self.beat(0.0, 0.0)
@@ -97,7 +97,7 @@ def outputs(context: StepContext, config: RigConfig) -> Iterator[Outputs]:
         context.operator.say(f"  {CONFIRMED_OFF}")
         raise KeyboardInterrupt
     if reason is not Reason.NONE:
-        raise ProbeError(f"outputs switched off: {EXPLANATIONS[reason]}")
+        raise CommissioningError(f"outputs switched off: {EXPLANATIONS[reason]}")
 
 
 def turns(counts: float, config: RigConfig) -> float:

@@ -12,7 +12,7 @@ from inteco_abs.commissioning.permission import outputs_permitted
 from inteco_abs.commissioning.reading import open_for_reading
 from inteco_abs.commissioning.step import Facts, StepContext
 from inteco_abs.config import PwmMode, RigConfig
-from inteco_abs.errors import ProbeError
+from inteco_abs.errors import CommissioningError
 
 PHRASE: Final = "the power interface is off"
 _REQUEST: Final = (
@@ -58,7 +58,7 @@ def _echo(context: StepContext, config: RigConfig) -> None:
         for drive, brake in _DUTIES:
             for motion in out.hold(drive, brake, _HOLD_S):
                 if max(abs(motion.wheel_counts), abs(motion.road_counts)) > _MOST_COUNTS:
-                    raise ProbeError(
+                    raise CommissioningError(
                         "a wheel moved although the power interface should be off: check its mains switch, "
                         "let the wheels come to rest, and keep hands away"
                     )

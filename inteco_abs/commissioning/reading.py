@@ -10,7 +10,7 @@ from typing import Final
 from inteco_abs.boards import STILL_ON, Board, family_of
 from inteco_abs.commissioning.step import StepContext
 from inteco_abs.config import RigConfig
-from inteco_abs.errors import LinkError, ProbeError
+from inteco_abs.errors import CommissioningError, LinkError
 
 _MOST_FAILURES: Final = 4
 _ONLY_READ: Final = "this step of the commissioning only reads"
@@ -31,23 +31,23 @@ def outputs_left_on(board: Board) -> bool:
 
 
 def require_outputs_off(board: Board) -> None:
-    """Raise ProbeError if an earlier program left an output on."""
+    """Raise CommissioningError if an earlier program left an output on."""
     if outputs_left_on(board):
-        raise ProbeError(
+        raise CommissioningError(
             f"the board's PWM outputs are not zero, an earlier program has left them so. {STILL_ON}, "
             "then switch the board off and on"
         )
 
 
 def require_same_board(board: Board, config: RigConfig) -> None:
-    """Raise ProbeError if the open board is not the one whose header is in the draft."""
+    """Raise CommissioningError if the open board is not the one whose header is in the draft."""
     identity, wiring = board.identity, config.board
     if (
         identity is None
         or identity.logic_version != wiring.logic_version
         or (family_of(wiring.kind).reports_name and identity.application_name not in wiring.application_names)
     ):
-        raise ProbeError(f"this board ({identity}) is not the one that the draft was begun with: --redo header")
+        raise CommissioningError(f"this board ({identity}) is not the one that the draft was begun with: --redo header")
 
 
 def read_patiently(board: Board, names: Collection[str]) -> dict[str, int]:

@@ -3,7 +3,7 @@
 import pytest
 
 from firmware_protocol.rtdac_usb2 import LOGICS, READ_REQUEST, encode_send
-from inteco_abs.errors import ProbeError, Stopped
+from inteco_abs.errors import CommissioningError, Stopped
 
 ROWS = (
     "   w10  0x0000 -> 0x0024    pin_mode",
@@ -63,7 +63,7 @@ def test_a_pwm_that_is_not_the_profile_s_own_may_not_run(lab, scripts, step):
     procedure = lab.session(*scripts[step])
     lab.rig.link().write(encode_send({"pwm4_width": 100}))
     before = lab.rig.frames_sent
-    with pytest.raises(ProbeError, match=r"pwm4_width.*pwm4_width = 0"):
+    with pytest.raises(CommissioningError, match=r"pwm4_width.*pwm4_width = 0"):
         procedure.go(only=step)
     assert lab.rig.frames_sent == before
 

@@ -10,7 +10,7 @@ from inteco_abs.commissioning import ProfileDraft
 from inteco_abs.commissioning.permission import outputs_permitted
 from inteco_abs.commissioning.step import StepContext
 from inteco_abs.config import load_config
-from inteco_abs.errors import LinkError, ProbeError, ReadOnlyError, UnsafeError
+from inteco_abs.errors import CommissioningError, LinkError, ReadOnlyError, UnsafeError
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
@@ -42,7 +42,7 @@ def test_they_do_so_even_with_a_signed_draft(lab, scripts):
 @pytest.mark.parametrize("answer", ["", "yes", "the power interface is on", "the cover is closed"])
 def test_without_the_phrase_nothing_is_written(lab, step, answer):
     lab.done_until(step)
-    with pytest.raises(ProbeError, match="nothing was written"):
+    with pytest.raises(CommissioningError, match="nothing was written"):
         lab.session("", answer).go(only=step)
     assert lab.rig.written == []
     assert lab.outcomes()[step] == "failed"
@@ -144,7 +144,7 @@ def test_a_link_that_fails_for_a_while_ends_in_safe(lab, scripts, step):
             raise LinkError("the cable is loose")
 
     lab.rig.before_write = fail
-    with pytest.raises(ProbeError, match="too many exchanges"):
+    with pytest.raises(CommissioningError, match="too many exchanges"):
         procedure.go(only=step)
     assert lab.rig.device.duties == (0.0, 0.0)
 
@@ -168,7 +168,7 @@ def test_safe_that_cannot_be_confirmed_is_said_with_its_own_exit_code(lab, scrip
 def test_outputs_left_on_by_another_program_are_reported_and_left_alone(lab):
     lab.session("", "", "", "")
     lab.rig.change_answer = lambda answer: answer[:44] + b"\xff\x00" + answer[46:]  # width of PWM 0
-    with pytest.raises(ProbeError, match="emergency switch"):
+    with pytest.raises(CommissioningError, match="emergency switch"):
         lab.procedure.go()
     assert lab.operator.heard("THE PWM OUTPUTS ARE NOT ZERO")
     assert lab.outcomes()["wheels"] == "failed"

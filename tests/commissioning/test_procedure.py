@@ -8,7 +8,7 @@ import pytest
 from inteco_abs.boards import Board, unconfirmed
 from inteco_abs.commissioning import MockRigAccess, PacedMockRigAccess
 from inteco_abs.config import load_config
-from inteco_abs.errors import AnswerError, ConfigError, ProbeError, Stopped
+from inteco_abs.errors import AnswerError, CommissioningError, ConfigError, Stopped
 from inteco_abs.experiment import manual_control
 
 STEPS = ["list", "header", "reads", "wheels", "echo", "motors", "sign"]
@@ -98,7 +98,7 @@ def test_typing_stop_leaves(lab, step):
 @pytest.mark.parametrize("step", STEPS)
 def test_an_answer_that_is_not_just_enter_begins_no_step(lab, step):
     lab.done_until(step)
-    with pytest.raises(ProbeError, match="no valid answer"):
+    with pytest.raises(CommissioningError, match="no valid answer"):
         lab.session("go", "yes", "ok").go()
     assert lab.outcomes()[step] == "failed"
     assert lab.rig.written == []
@@ -175,10 +175,10 @@ def test_a_step_that_failed_says_what_to_do(lab, monkeypatch):
     lab.done_until("echo")
 
     def refuse(*_arguments, **_more):
-        raise ProbeError("a wheel moved")
+        raise CommissioningError("a wheel moved")
 
     monkeypatch.setattr("inteco_abs.commissioning.pwm_echo.agree_on_first_write", refuse)
-    with pytest.raises(ProbeError) as failure:
+    with pytest.raises(CommissioningError) as failure:
         lab.session("", "the power interface is off").go()
     assert "step 5 (echo) failed. What to do: the profile's PWM words" in failure.value.__notes__[0]
     kept = json.loads(lab.draft.results_file.read_text())["steps"]["echo"]
@@ -243,7 +243,7 @@ class TestSigning:
     @pytest.mark.parametrize("name", ["", "  ", "123", "x" * 101, "tab\tbed"])
     def test_what_is_not_a_name_does_not_sign(self, lab, name):
         lab.done_until("sign")
-        with pytest.raises(ProbeError, match="no valid answer"):
+        with pytest.raises(CommissioningError, match="no valid answer"):
             lab.session("", name, name, name).go()
         assert lab.draft.config.board.verified_by == ""
 

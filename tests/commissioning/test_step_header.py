@@ -6,7 +6,7 @@ from inteco_abs.boards import Identity
 from inteco_abs.commissioning.exchange_rate import kept_rate
 from inteco_abs.commissioning.identity import fitting_profile, hex_dump
 from inteco_abs.config import load_config
-from inteco_abs.errors import ConfigError, LinkError, ProbeError
+from inteco_abs.errors import CommissioningError, ConfigError, LinkError
 from inteco_abs.host.attached import found_devices
 from inteco_abs.host.checks import Computer
 
@@ -88,7 +88,7 @@ def test_too_many_failed_readings_fail_the_step(lab, scripts):
     procedure.go(only="header")
     count = iter(range(10_000))
     lab.rig.change_answer = lambda answer: answer[:100] if next(count) % 20 == 19 else answer
-    with pytest.raises(ProbeError, match="readings failed"):
+    with pytest.raises(CommissioningError, match="readings failed"):
         procedure.go(only="reads")
 
 
@@ -112,7 +112,7 @@ def test_the_rate_is_the_wanted_one_or_the_highest_usual_one_that_fits(wanted_hz
 
 
 def test_a_board_too_slow_for_any_rate_is_refused():
-    with pytest.raises(ProbeError, match="too slow for any rate"):
+    with pytest.raises(CommissioningError, match="too slow for any rate"):
         kept_rate(2000, 20_000)
 
 
@@ -160,7 +160,7 @@ def test_boards_are_listed_as_the_kernel_knows_them(computer, address, found, wo
 def test_no_board_is_said_with_what_to_do(lab):
     procedure = lab.session("")
     lab.rig.devices = lambda _config: []
-    with pytest.raises(ProbeError, match="plug the board in"):
+    with pytest.raises(CommissioningError, match="plug the board in"):
         procedure.go(only="list")
 
 
@@ -175,6 +175,6 @@ def test_a_logic_without_known_frames_does_not_get_into_the_draft(lab, monkeypat
 
     before = lab.file.read_text()
     monkeypatch.setattr(lab.rig, "open", open_known)
-    with pytest.raises(ProbeError, match="logic 0x0103 cannot be driven by this version"):
+    with pytest.raises(CommissioningError, match="logic 0x0103 cannot be driven by this version"):
         lab.procedure.go(only="header")
     assert lab.file.read_text() == before

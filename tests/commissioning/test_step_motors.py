@@ -2,7 +2,7 @@
 
 import pytest
 
-from inteco_abs.errors import ProbeError, ReadOnlyError
+from inteco_abs.errors import CommissioningError, ReadOnlyError
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def test_the_dead_zone_is_found(lab, at):
 
 def test_a_power_interface_that_is_on_is_noticed_at_the_first_movement(lab, at):
     procedure = at("echo", switch=lambda device: lambda _on: device.turn("road", 10, 5.0))
-    with pytest.raises(ProbeError, match="although the power interface should be off"):
+    with pytest.raises(CommissioningError, match="although the power interface should be off"):
         procedure.go(only="echo")
     assert lab.rig.device.duties == (0.0, 0.0)
 
@@ -48,20 +48,20 @@ def test_a_board_that_does_not_take_the_mode_fails_the_echo_test(lab, at):
 @pytest.mark.untraced
 def test_an_emergency_switch_that_does_not_cut_is_noticed(lab, at):
     procedure = at("motors", switch=lambda device: lambda _on: device.power(on=True))
-    with pytest.raises(ProbeError, match="although the emergency switch is pressed"):
+    with pytest.raises(CommissioningError, match="although the emergency switch is pressed"):
         procedure.go(only="motors")
     assert lab.rig.device.duties == (0.0, 0.0)
 
 
 def test_a_drive_without_power_is_noticed(at):
     procedure = at("motors", switch=lambda device: lambda _on: device.power(on=False))
-    with pytest.raises(ProbeError, match=r"no wheel moved at up to 20% drive.*--set board.drive_pwm"):
+    with pytest.raises(CommissioningError, match=r"no wheel moved at up to 20% drive.*--set board.drive_pwm"):
         procedure.go(only="motors")
 
 
 def test_swapped_pwm_channels_show_as_a_drive_that_does_nothing(lab, at):
     procedure = at("motors", "simulation.drive_pwm=1", "simulation.brake_pwm=0")
-    with pytest.raises(ProbeError, match="really on PWM 0"):
+    with pytest.raises(CommissioningError, match="really on PWM 0"):
         procedure.go(only="motors")
     assert lab.rig.device.duties == (0.0, 0.0)
 
@@ -69,7 +69,7 @@ def test_swapped_pwm_channels_show_as_a_drive_that_does_nothing(lab, at):
 @pytest.mark.untraced
 def test_a_brake_that_is_not_there_is_noticed_at_the_limit(lab, at):
     procedure = at("motors", "simulation.brake_pwm=3")
-    with pytest.raises(ProbeError, match=r"the brake did nothing up to 0\.70"):
+    with pytest.raises(CommissioningError, match=r"the brake did nothing up to 0\.70"):
         procedure.go(only="motors")
     assert lab.rig.device.duties == (0.0, 0.0)
 
@@ -87,7 +87,7 @@ def test_a_wheel_that_was_turned_the_wrong_way_round_is_found_out_by_the_drive(l
     lab.procedure.go(only="wheels")
     procedure = lab.session(*scripts["echo"], *scripts["motors"])
     procedure.go(only="echo")
-    with pytest.raises(ProbeError, match=f"the {name} wheel counts backwards when driven: board.{key}"):
+    with pytest.raises(CommissioningError, match=f"the {name} wheel counts backwards when driven: board.{key}"):
         procedure.go(only="motors")
     assert lab.rig.device.duties == (0.0, 0.0)
 
@@ -98,7 +98,7 @@ def test_wheels_that_do_not_rest_are_not_driven(lab, at, when):
         return lambda on: device.turn("road", 10, 60.0) if on is when else device.power(on=on)
 
     procedure = at("motors", switch=switch)
-    with pytest.raises(ProbeError, match="wait until both are at rest"):
+    with pytest.raises(CommissioningError, match="wait until both are at rest"):
         procedure.go(only="motors")
     assert lab.rig.largest == (0.0, 0.0)
 
@@ -139,7 +139,7 @@ class TestVelocityRegister:
 
     @pytest.mark.untraced
     def test_it_contradicts_turns_that_were_miscounted(self, lab, on_pci):
-        with pytest.raises(ProbeError, match="counts per turn are not certain: --redo wheels"):
+        with pytest.raises(CommissioningError, match="counts per turn are not certain: --redo wheels"):
             on_pci("no", turns=("5",), settings=["simulation.counts_per_turn=2048"])
         assert lab.draft.config.encoders.counts_per_turn == 4096
         assert lab.operator.heard("velocity register makes 20")

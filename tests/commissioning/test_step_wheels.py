@@ -4,7 +4,7 @@ import pytest
 
 from inteco_abs.commissioning.hand_turning import Unclear, counts_per_turn, judge
 from inteco_abs.config import load_config
-from inteco_abs.errors import ProbeError
+from inteco_abs.errors import CommissioningError
 
 
 def hands(lab, *moves):
@@ -52,7 +52,7 @@ def test_three_mistakes_end_the_step_and_leave_the_draft(lab, at_wheels, mistake
     move, complaint = AGAIN[mistake]
     procedure = at_wheels(["", "", ""], move, move, move)
     before = lab.file.read_text()
-    with pytest.raises(ProbeError, match=complaint):
+    with pytest.raises(CommissioningError, match=complaint):
         procedure.go(only="wheels")
     assert lab.file.read_text() == before
 
@@ -107,7 +107,7 @@ def test_an_unusual_number_that_is_not_certain_is_counted_again(lab, at_wheels):
 
 
 def test_two_different_numbers_are_refused(at_wheels):
-    with pytest.raises(ProbeError, match="4096 counts per turn on the upper wheel, 2048 on the lower"):
+    with pytest.raises(CommissioningError, match="4096 counts per turn on the upper wheel, 2048 on the lower"):
         at_wheels(["", "", "10"], UPPER, ("road", 5, True)).go(only="wheels")
 
 
@@ -122,14 +122,14 @@ def test_what_was_found_is_confirmed_with_its_day(lab, at_wheels):
 def test_wheels_that_never_rest_end_the_step(lab, at_wheels):
     procedure = at_wheels([""])
     lab.rig.hand = lambda _which: lab.rig.device.turn("wheel", 400, 1000.0)
-    with pytest.raises(ProbeError, match="is a motor on"):
+    with pytest.raises(CommissioningError, match="is a motor on"):
         procedure.go(only="wheels")
 
 
 def test_another_board_than_the_drafts_is_refused(lab, at_wheels):
     procedure = at_wheels([""], UPPER)
     lab.rig.change_answer = lambda answer: answer[:2] + b"X" + answer[3:]  # its name
-    with pytest.raises(ProbeError, match="not the one that the draft was begun with"):
+    with pytest.raises(CommissioningError, match="not the one that the draft was begun with"):
         procedure.go(only="wheels")
 
 

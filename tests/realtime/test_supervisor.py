@@ -10,12 +10,12 @@ from inteco_abs.errors import (
     AnswerError,
     BoardError,
     CaptureError,
+    CommissioningError,
     ConfigError,
     ConfigIssue,
     ControllerError,
     LinkError,
     NoAnswerError,
-    ProbeError,
     ReadOnlyError,
     Stopped,
     UnsafeError,
@@ -40,7 +40,7 @@ KINDS = (
     SessionTrouble,
     CaptureError,
     ControllerError,
-    ProbeError,
+    CommissioningError,
     Stopped,
 )
 

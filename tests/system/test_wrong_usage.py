@@ -3,7 +3,7 @@
 import pytest
 from wrong_inputs import Row, file, folder, ids, session, stdin
 
-PROBE = "commission --yes-read-only"
+COMMISSION = "commission --yes-read-only"
 DRAFT = ("rig-profile.toml", "rig-profile.results.json")
 ROWS = [
     Row("no such verb", "bogus", 2, ("no command 'bogus'",), "known: annotate, benchmark, commission"),
@@ -102,15 +102,16 @@ ROWS = [
     Row("a question at no time", "what-if a.mcap --set x=1 --at 2s", 2, ("'2s'",), "write the number alone"),
     Row("a tolerance of nothing", "replay stop.mcap --tol slip", 2, ("--tol slip",), "FIELD=ABS", (session(),)),
     Row("a step beyond the last", "commission --redo 9", 2, ("no step '9'",), "1..7"),
-    Row("a step before its turn", f"{PROBE} --step 6", 2, ("motors comes after list",), "which is open", leaves=DRAFT),
-    Row("no such profile to begin with", f"{PROBE} --profile usb2_generic", 2, ("'usb2_generic'",),
+    Row("a step before its turn", f"{COMMISSION} --step 6", 2, ("motors comes after list",), "which is open",
+        leaves=DRAFT),
+    Row("no such profile to begin with", f"{COMMISSION} --profile usb2_generic", 2, ("'usb2_generic'",),
         "did you mean usb2_generic_0103?"),
-    Row("a profile of another board", f"{PROBE} --board usb2: --profile usb1_0111", 2, ("board.kind: 'usb'",),
+    Row("a profile of another board", f"{COMMISSION} --board usb2: --profile usb1_0111", 2, ("board.kind: 'usb'",),
         "name another profile", leaves=DRAFT),
-    Row("a draft with one encoder", f"{PROBE} --set simulation.road_encoder=1", 2, ("simulation.wheel_encoder",),
+    Row("a draft with one encoder", f"{COMMISSION} --set simulation.road_encoder=1", 2, ("simulation.wheel_encoder",),
         "another encoder than"),
-    Row("a draft's setting without equals", f"{PROBE} --set board.drive_pwm", 2, ("has no =",), "must look like"),
-    Row("virtual time at a real bench", f"{PROBE} --board usb2: --virtual", 2, ("real board",), "omit --virtual"),
+    Row("a draft's setting without equals", f"{COMMISSION} --set board.drive_pwm", 2, ("has no =",), "must look like"),
+    Row("virtual time at a real bench", f"{COMMISSION} --board usb2: --virtual", 2, ("real board",), "omit --virtual"),
     Row("steps of two minds", "commission --step 1 --redo 2", 2, ("--redo",), "name one of them"),
     Row(
         "questions without answers",

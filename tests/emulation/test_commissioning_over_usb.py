@@ -1,4 +1,4 @@
-"""The walk's reading steps on a real board's way: kernel's list, libusb, vendor requests; the mock at the far end."""
+"""Commissioning's reading steps as on a real board: kernel's list, libusb, vendor requests; the mock at the far end."""
 
 import json
 import os
@@ -36,7 +36,7 @@ def test_a_board_on_the_bus_is_listed_read_and_timed_and_nothing_is_written_to_i
         (tree.path / "sys/devices/usb1/1-1" / name).write_text(f"{text}\n")
     environment = {key: value for key, value in os.environ.items() if not key.startswith("COV")}
 
-    def walk(step, *more):
+    def commission(step, *more):
         return subprocess.run(
             [COMMAND, "commission", "--board", "usb2:", *WORDS, "--step", step, *more],
             cwd=tmp_path,
@@ -48,7 +48,11 @@ def test_a_board_on_the_bus_is_listed_read_and_timed_and_nothing_is_written_to_i
         )
 
     try:
-        first, second, third = walk("list"), walk("header"), walk("reads", "--send-report", "board.jsonl")
+        first, second, third = (
+            commission("list"),
+            commission("header"),
+            commission("reads", "--send-report", "board.jsonl"),
+        )
     finally:
         tree.close()
     assert first.returncode == second.returncode == 0, first.stderr + second.stderr
