@@ -419,7 +419,7 @@ def _require_channels(wiring: BoardConfig, logic: Logic) -> None:
         key = "pwm_pins" if wiring.pwm_functions is None else "pwm_functions"
         problem = f"{logic.send.title} has no pin mode: set board.pwm_functions to []"
         mistakes.append(ConfigIssue(f"board.{key}", problem))
-    mistakes += _pin_mistakes(wiring, logic)
+    mistakes += _pin_mistakes(wiring)
     if mistakes:
         raise ConfigError(mistakes)
 
@@ -429,8 +429,8 @@ def _functions(wiring: BoardConfig) -> int:
     return _mask(wiring.pwm_pins if wiring.pwm_functions is None else wiring.pwm_functions)
 
 
-def _pin_mistakes(wiring: BoardConfig, logic: Logic) -> Iterator[ConfigIssue]:
-    """Yield pins with two uses, a watchdog without contact, and pins that the logic does not have."""
+def _pin_mistakes(wiring: BoardConfig) -> Iterator[ConfigIssue]:
+    """Yield pins with two uses, and a watchdog without contact."""
     constants = [int(key[3:]) for key in wiring.constants if key.startswith("pin") and key[3:].isdecimal()]
     used = {"pwm_pins": wiring.pwm_pins, "constants": constants, "numbering_pins": wiring.numbering_pins}
     used |= {key: [pin] for key in ("watchdog_pin", "watchdog_contact_pin") if (pin := getattr(wiring, key)) >= 0}
@@ -443,9 +443,6 @@ def _pin_mistakes(wiring: BoardConfig, logic: Logic) -> Iterator[ConfigIssue]:
     if (wiring.watchdog_pin >= 0) is not (wiring.watchdog_contact_pin >= 0):
         problem = "a watchdog is proven before each run by its contact: name both pins or neither (docs/watchdog.md)"
         yield ConfigIssue("board.watchdog_contact_pin", problem)
-    if _latched(wiring) and not {"pin_output", "pin_direction"} <= logic.send.fields.keys():
-        key = "watchdog_pin" if wiring.watchdog_pin >= 0 else "numbering_pins"
-        yield ConfigIssue(f"board.{key}", f"{logic.send.title} has no pin_direction and pin_output")
 
 
 def _latched(wiring: BoardConfig) -> bool:

@@ -121,11 +121,17 @@ def test_motors_lose_power_50_ms_after_the_last_pulse_for_any_host(new_pins_benc
         assert board.watchdog_closed is True  # it was armed all the time: the lab's ON button is what stays off
 
 
-def test_pin_0_can_feed_a_watchdog_too(new_pins_bench):
-    settings = (setting.replace("watchdog_pin=17", "watchdog_pin=0") for setting in WATCHED)
-    bench = new_pins_bench("board.pwm_functions=[]", *settings)
+@pytest.mark.parametrize(("pin", "contact"), [(0, 9), (17, 0)])
+def test_pin_0_can_feed_a_watchdog_or_be_its_contact(new_pins_bench, pin, contact):
+    settings = [s.replace("_pin=17", f"_pin={pin}").replace("contact_pin=9", f"contact_pin={contact}") for s in WATCHED]
+    bench = new_pins_bench("board.pwm_pins=[]", "board.pwm_functions=[]", *settings)
     with bench.board as board:
         assert board.watchdog_closed is False
+        board.armed = True
+        bench.exchange(0.5)
+        bench.exchange(0.5)
+        assert board.watchdog_closed is True
+        assert changes(bench, pin) == 2
 
 
 def test_a_constant_pin_is_beside_the_number_in_the_latch(new_pins_bench):
@@ -161,6 +167,7 @@ def test_a_contact_that_is_closed_before_anything_feeds_it_is_refused(new_usb2_b
         (("board.watchdog_pin=8",), "name both pins or neither"),
         (("board.watchdog_contact_pin=8",), "name both pins or neither"),
         (("board.watchdog_pin=8", "board.watchdog_contact_pin=8"), "8: already in board.watchdog_pin"),
+        (("board.watchdog_pin=0", "board.watchdog_contact_pin=0"), "0: already in board.watchdog_pin"),
         (("board.numbering_pins=[2]",), "2: already in board.pwm_pins"),
         (("board.numbering_pins=[7, 7]",), "7: already in board.numbering_pins"),
     ],

@@ -4,6 +4,7 @@ from hypothesis import strategies as st
 
 from firmware_protocol.rtdac_usb2 import READ_REQUEST, SEND
 from inteco_abs.errors import BoardError
+from inteco_abs.signals import BoardFlags
 
 WIDTH_BYTES = {44, 45, 50, 51}
 NUMBER_BYTES = {82, 83}
@@ -163,8 +164,18 @@ def test_a_board_that_does_not_take_its_settings_is_not_opened(new_usb2_bench, c
 
 
 def test_channel_0_may_carry_the_number_where_it_drives_nothing(new_usb2_bench):
-    bench = new_usb2_bench("board.drive_pwm=2", "board.numbering_pwm=0")
+    bench = new_usb2_bench("board.drive_pwm=2", "board.numbering_pwm=0", earlier={"pwm0_width": 9})
     with bench.board:
         bench.exchange()
         bench.exchange()
-        assert [sent["pwm0_prescaler"] for sent in bench.settings_sent] == [1, 2, 3]
+    sent = [(settings["pwm0_prescaler"], settings["pwm0_width"]) for settings in bench.settings_sent]
+    assert sent == [(1, 0), (2, 0), (3, 0), (4, 0)]
+
+
+def test_any_timer_may_date_the_samples_and_begins_at_zero(new_usb2_bench):
+    bench = new_usb2_bench("board.numbering_pwm=-1", "board.timer=1", earlier={"timer_reset": 0b11, "timer_mode": 0b01})
+    with bench.board:
+        bench.clock.advance(500_000)
+        assert bench.exchange(0.5).board_flags is BoardFlags.NONE
+    assert [settings["timer_reset"] for settings in bench.settings_sent[:3]] == [0b11, 0b01, 0b01]
+    assert {settings["timer_mode"] for settings in bench.settings_sent} == {0b11}

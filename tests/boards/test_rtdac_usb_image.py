@@ -1,7 +1,7 @@
 """What an RT-DAC/USB is sent: the settings as it had them, the wiring's own, two widths and a number."""
 
 import pytest
-from benches import Usb0111Bench
+from benches import Usb0111Bench, Usb0112Bench
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -104,6 +104,11 @@ def test_a_board_that_does_not_take_its_settings_is_not_opened(changes, name):
 def test_a_wiring_without_its_channels_is_a_mistake_in_the_configuration(key, value):
     with pytest.raises(ConfigError, match=f"board.{key}"):
         Usb0111Bench(f"board.{key}={value}")
+
+
+def test_a_logic_without_timers_cannot_date_samples():
+    with pytest.raises(ConfigError, match=r"board\.timer: 0: .* has no such channel"):
+        Usb0112Bench("board.timer=0")
 
 
 def test_a_logic_without_tables_is_a_mistake_in_the_configuration():
