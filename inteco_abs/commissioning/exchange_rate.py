@@ -7,14 +7,12 @@ from typing import Final
 from inteco_abs.commissioning.reading import open_for_reading, require_same_board
 from inteco_abs.commissioning.step import Facts, StepContext
 from inteco_abs.errors import CommissioningError, LinkError
-from inteco_abs.realtime import Histogram, quantiles
+from inteco_abs.realtime import RATE_MARGIN, Histogram, quantiles
 
 READS: Final = 1000
 _MOST_FAILED: Final = 10
 MORE_THAN_A_READ: Final = 1.5
 """A tick has three transfers, a reading two; the exact time is measured when a run begins."""
-_MARGIN: Final = 1.2
-"""Factor on an exchange's time, the same as at the start of a run."""
 _WINDOW_PERIODS: Final = 5
 """Shorter windows give mostly noise as speed."""
 _RATES_HZ: Final = (10_000.0, 5000.0, 2000.0, 1000.0, 500.0, 250.0, 200.0, 100.0, 50.0)
@@ -66,7 +64,7 @@ def kept_rate(wanted_hz: float, read_us: float) -> float:
 
     Raises CommissioningError if none fits.
     """
-    possible_hz = 1e6 / (_MARGIN * MORE_THAN_A_READ * read_us)
+    possible_hz = 1e6 / (RATE_MARGIN * MORE_THAN_A_READ * read_us)
     if wanted_hz <= possible_hz:
         return wanted_hz
     for rate_hz in _RATES_HZ:

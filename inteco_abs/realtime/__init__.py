@@ -17,7 +17,7 @@ from inteco_abs.realtime.memory import (
     run_bytes,
 )
 from inteco_abs.realtime.ring import RingReader, TickRing, ring_bytes
-from inteco_abs.realtime.round_trips import Quantiles, quantiles
+from inteco_abs.realtime.round_trips import RATE_MARGIN, Quantiles, quantiles
 from inteco_abs.realtime.screen import (
     POINTS_PER_S,
     Lines,
@@ -54,6 +54,7 @@ __all__ = [
     "GUARDIAN_PRIORITY",
     "LOOP_PRIORITY",
     "POINTS_PER_S",
+    "RATE_MARGIN",
     "Beat",
     "ChangeTable",
     "Clock",

@@ -18,7 +18,8 @@ _TURNS, _TURN_TRIALS = 5, 100
 _WORTH_IT: Final = 0.9
 """Another engine replaces the usual one if it takes less than this share of its time."""
 _RATE_TRIALS: Final = 1000
-_RATE_MARGIN: Final = 1.2
+RATE_MARGIN: Final = 1.2
+"""Factor on an exchange's time that a period has to have."""
 
 
 class Quantiles(NamedTuple):
@@ -114,7 +115,7 @@ def require_rate(board: Board, period_ns: int) -> dict[str, str]:
     seen = "; ".join(f"{name}: {found}" for name, found in facts.items())
     if math.isinf(spread.p99):
         raise BoardError(f"{failed} of {_RATE_TRIALS} exchanges with the board failed: {board.last_error} ({seen})")
-    rate_hz = math.floor(1e6 / (_RATE_MARGIN * spread.p99))
+    rate_hz = math.floor(1e6 / (RATE_MARGIN * spread.p99))
     raise BoardError(
         f"the board's exchanges take up to {spread.p99:.0f} us (99 % of {_RATE_TRIALS}), longer than the period of "
         f"{period_us:g} us. If this computer is busy, try again; else set loop.rate_hz to {rate_hz} or less, with "

@@ -33,6 +33,7 @@ def moving_window(k: Constants, s: State, sample: Sample, command: Command) -> E
     """Estimate at the instant of `sample`; valid from the second sample on."""
     _, time_ns, _, wheel_count, road_count, _ = sample
     wheel, road = mean_speeds(k, s, time_ns, wheel_count, road_count)
+    # as in `two_wheels` without an offset; written out, for a call would cost the default estimator's every tick
     slip = 1.0 - k.ratio * wheel / road if road > 0.0 else 0.0
     valid, s.valid = s.valid, True
     return Estimate(wheel, road, 0.0 if slip < 0.0 else min(slip, 1.0), valid, None)

@@ -135,6 +135,7 @@ def braking_slip(wheel_speed: float, road_speed: float, parameters: RigParameter
     """Equation (11), within 0..1; 0 for a road that does not turn forward, NaN for a speed that is not a number."""
     if road_speed <= 0.0:
         return 0.0
+    # not by the ratio r1/r2 of `two_wheels`: it rounds otherwise, and recorded stops replay bit for bit
     slip = 1.0 - parameters.r1 * wheel_speed / (parameters.r2 * road_speed)
     if slip < 0.0:
         return 0.0

@@ -41,6 +41,7 @@ from firmware_protocol.pwm import PWM_FULL_WIDTH
 from inteco_abs.boards.authorization import read_only_reason
 from inteco_abs.boards.board import STILL_ON, Board, BoardReading, Identity, Reading
 from inteco_abs.boards.board_clock import BoardClock
+from inteco_abs.boards.channels import channel_mistakes
 from inteco_abs.boards.first_write import PlannedWord
 from inteco_abs.boards.frame_board import MODES, widths
 from inteco_abs.boards.transports.links import Link
@@ -449,18 +450,7 @@ def _without_sequence(values: Mapping[str, Value]) -> dict[str, Value]:
 
 
 def _require_channels(wiring: BoardConfig) -> None:
-    most = {
-        "drive_pwm": PWMS,
-        "brake_pwm": PWMS,
-        "wheel_encoder": REPORTED_COUNTERS,
-        "road_encoder": REPORTED_COUNTERS,
-        **dict.fromkeys(("numbering_pwm", "timer", "watchdog_pin", "watchdog_contact_pin"), 0),
-    }
-    mistakes = [
-        ConfigIssue(f"board.{key}", f"{getattr(wiring, key)}: the open board has {_channels(count)}")
-        for key, count in most.items()
-        if getattr(wiring, key) >= count
-    ]
+    mistakes = channel_mistakes(wiring, PWMS, REPORTED_COUNTERS, lambda count: f"the open board has {_channels(count)}")
     mistakes += [
         ConfigIssue(f"board.{key}", f"{getattr(wiring, key)}: the open board has no such settings; leave it out")
         for key in ("constants", "numbering_pins")

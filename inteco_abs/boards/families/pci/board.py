@@ -14,6 +14,7 @@ from firmware_protocol.registers import REGISTER_BYTES, Write
 from firmware_protocol.rtdac_pci import ABS, ENCODER_COUNT, LOGIC, PWM_WIDTH
 from inteco_abs.boards.authorization import read_only_reason
 from inteco_abs.boards.board import STILL_ON, Board, BoardReading, Identity, Reading
+from inteco_abs.boards.channels import channel_mistakes
 from inteco_abs.boards.first_write import PlannedWord
 from inteco_abs.boards.frame_board import MODES, widths
 from inteco_abs.boards.transports.registers import Registers
@@ -270,21 +271,9 @@ def _unit(register: Register) -> str:
 
 
 def _require_channels(wiring: BoardConfig) -> None:
-    most = {
-        "drive_pwm": pci.PWM_CHANNELS,
-        "brake_pwm": pci.PWM_CHANNELS,
-        "wheel_encoder": pci.ENCODER_CHANNELS,
-        "road_encoder": pci.ENCODER_CHANNELS,
-        "numbering_pwm": 0,
-        "timer": 0,
-        "watchdog_pin": 0,
-        "watchdog_contact_pin": 0,
-    }
-    mistakes = [
-        ConfigIssue(f"board.{key}", f"{getattr(wiring, key)}: {ABS.title} has {_channels(count)}")
-        for key, count in most.items()
-        if getattr(wiring, key) >= count
-    ]
+    mistakes = channel_mistakes(
+        wiring, pci.PWM_CHANNELS, pci.ENCODER_CHANNELS, lambda count: f"{ABS.title} has {_channels(count)}"
+    )
     if wiring.constants:
         mistakes.append(ConfigIssue("board.constants", f"{ABS.title} has no frames: leave them out"))
     if wiring.numbering_pins:
