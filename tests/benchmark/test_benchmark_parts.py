@@ -5,7 +5,7 @@ import math
 import pytest
 
 from inteco_abs.benchmark import Law, compared, ranges, read_laws, results_of, shipped_laws, write_laws
-from inteco_abs.benchmark.tuning import Bounds, Budget, search
+from inteco_abs.benchmark.gain_search import Bounds, Budget, search
 from inteco_abs.errors import ConfigError
 from inteco_abs.montecarlo import InThisProcess, SweepFolder, SweepPlan, parse_draws, work
 from inteco_abs.plugins import Controllers
