@@ -26,13 +26,13 @@ from inteco_abs.host.permissions import (
     PCI_DEVICE,
     PCI_REGISTERS,
     PCI_VENDOR,
-    PLUG_AGAIN,
     SET_UP,
     UDEV_FILE,
     SystemFile,
     check_serial,
     needed_files,
     serial_group,
+    writable,
 )
 from inteco_abs.host.setup import Setup, Undo
 
@@ -41,7 +41,6 @@ __all__ = [
     "PCI_DEVICE",
     "PCI_REGISTERS",
     "PCI_VENDOR",
-    "PLUG_AGAIN",
     "SET_UP",
     "UDEV_FILE",
     "USB_DEVICES",
@@ -67,4 +66,5 @@ __all__ = [
     "usb_description",
     "usb_strings",
     "worst",
+    "writable",
 ]

@@ -29,7 +29,7 @@ INSTALL_FTDI_RULES: Final = f"{SET_UP} --ftdi-serial {{}}, then plug the board i
 """Format with the chip's serial number."""
 _INSTALL_LIMITS: Final = f"{SET_UP}, then log in again"
 ALLOW_AWAKE: Final = f"install the udev rules ({UDEV_FILE}), which allow writing /dev/cpu_dma_latency"
-PLUG_AGAIN: Final = f"install the udev rules ({UDEV_FILE}), then plug the board in again or restart the computer"
+_PLUG_AGAIN: Final = f"install the udev rules ({UDEV_FILE}), then plug the board in again or restart the computer"
 
 
 class SystemFile(NamedTuple):
@@ -76,6 +76,15 @@ def check_serial(serial: str) -> str:
         problem = f"{serial!r}: must be 1 to 32 letters, digits, - and _, as inteco-abs doctor prints it"
         raise ConfigError.of("--ftdi-serial", problem)
     return serial
+
+
+def writable(computer: Computer, file: str, missing: str = "", denied: str = _PLUG_AGAIN) -> Judgement:
+    """Check that this user may write a board's file. `missing` and `denied` say what to do if not."""
+    if missing and not computer.exists(file):
+        return red(f"no /{file}", missing)
+    if computer.may_write(file):
+        return green(f"/{file} is writable")
+    return red(f"/{file} is not writable for this user", denied)
 
 
 def udev_rules(group: str, ftdi_serial: str = "") -> str:

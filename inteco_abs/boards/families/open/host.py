@@ -11,12 +11,11 @@ from inteco_abs.host import (
     FoundBoard,
     HostFamily,
     Judgement,
-    green,
     last_part,
-    red,
     serial_group,
     usb_description,
     usb_strings,
+    writable,
 )
 
 _PORTS: Final = "sys/class/tty/ttyACM*"
@@ -43,11 +42,8 @@ def _found(computer: Computer, _: RigConfig, path: str) -> list[FoundBoard]:
 
 
 def _access(computer: Computer, folder: str) -> Judgement:
-    file = f"dev/{last_part(folder)}"
-    if computer.may_write(file):
-        return green(f"/{file} is writable")
-    group = serial_group(computer)
-    return red(f"/{file} is not writable for this user", f"sudo usermod -aG {group} $USER, then log in again")
+    denied = f"sudo usermod -aG {serial_group(computer)} $USER, then log in again"
+    return writable(computer, f"dev/{last_part(folder)}", denied=denied)
 
 
 HOST: Final = HostFamily(found=_found, folders=_ports, checks={"serial port": _access})

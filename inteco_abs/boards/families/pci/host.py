@@ -9,7 +9,6 @@ from inteco_abs.host import (
     PCI_DEVICE,
     PCI_REGISTERS,
     PCI_VENDOR,
-    PLUG_AGAIN,
     UDEV_FILE,
     Computer,
     FoundBoard,
@@ -18,6 +17,7 @@ from inteco_abs.host import (
     green,
     last_part,
     red,
+    writable,
 )
 
 _HEADER_BYTES: Final = 64
@@ -43,12 +43,8 @@ def _found(computer: Computer, _: RigConfig, _place: str) -> list[FoundBoard]:
 
 
 def _pci_access(computer: Computer, folder: str) -> Judgement:
-    file = f"{folder}/{PCI_REGISTERS}"
-    if not computer.exists(file):
-        return red(f"no /{file}", "the board has no register range: put it into another slot")
-    if computer.may_write(file):
-        return green(f"/{file} is writable")
-    return red(f"/{file} is not writable for this user", PLUG_AGAIN)
+    missing = "the board has no register range: put it into another slot"
+    return writable(computer, f"{folder}/{PCI_REGISTERS}", missing)
 
 
 def _pci_registers(computer: Computer, folder: str) -> Judgement:

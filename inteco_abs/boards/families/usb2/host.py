@@ -7,7 +7,6 @@ from typing import Final
 from firmware_protocol.rtdac_usb2_bridge import MANUFACTURER, VENDOR_ID
 from inteco_abs.config import RigConfig
 from inteco_abs.host import (
-    PLUG_AGAIN,
     USB_DEVICES,
     Computer,
     FoundBoard,
@@ -20,6 +19,7 @@ from inteco_abs.host import (
     together,
     usb_description,
     usb_strings,
+    writable,
 )
 from inteco_abs.realtime import GUARDIAN_PRIORITY, LOOP_PRIORITY, cores_of, kernel_list, loop_cpus, parse_cpus
 
@@ -85,12 +85,8 @@ def _usb_autosuspend(computer: Computer, folder: str) -> Judgement:
 
 def _usb_access(computer: Computer, folder: str) -> Judgement:
     bus, device = int(computer.text(f"{folder}/busnum")), int(computer.text(f"{folder}/devnum"))
-    node = f"dev/bus/usb/{bus:03d}/{device:03d}"
-    if not computer.exists(node):
-        return red(f"no /{node}", "start udev; in a container, hand /dev/bus/usb on to it")
-    if computer.may_write(node):
-        return green(f"/{node} is writable")
-    return red(f"/{node} is not writable for this user", PLUG_AGAIN)
+    missing = "start udev; in a container, hand /dev/bus/usb on to it"
+    return writable(computer, f"dev/bus/usb/{bus:03d}/{device:03d}", missing)
 
 
 def _usb_interrupt(computer: Computer, folder: str) -> Judgement:
