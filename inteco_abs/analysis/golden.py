@@ -6,7 +6,6 @@ hash and software of every version.
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
 import tomllib
@@ -30,6 +29,7 @@ from inteco_abs.format import TICK, TRUTH, Role
 from inteco_abs.sessions import (
     Session,
     ensured_directory,
+    file_sha256,
     read_session,
     result_card,
     session_config,
@@ -198,7 +198,7 @@ class GoldenFolder:
     def _read_golden(self, golden: Golden) -> Session:
         file = self.file(golden)
         session = read_session(file)
-        if _sha256(file) != golden.history[-1].file_sha256:
+        if file_sha256(file) != golden.history[-1].file_sha256:
             raise SessionError(f"{file}: is not the file that {TABLE_NAME} knows; get both from where they agree")
         return session
 
@@ -292,11 +292,9 @@ def _replay(session: Session, controllers: ControllerTypes, tolerances: Sequence
 
 def _version(reason: str, file: Path, changed: int) -> Version:
     software = {key: value for key, value in software_facts().items() if key in _SOFTWARE}
-    return Version(datetime.now(UTC).isoformat(timespec="seconds"), reason.strip(), _sha256(file), changed, software)
-
-
-def _sha256(file: Path) -> str:
-    return hashlib.sha256(file.read_bytes()).hexdigest()
+    return Version(
+        datetime.now(UTC).isoformat(timespec="seconds"), reason.strip(), file_sha256(file), changed, software
+    )
 
 
 def _write_copy(session: Session, payload: bytes, path: Path) -> None:

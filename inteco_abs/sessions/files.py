@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
 import re
 import secrets
@@ -147,3 +148,9 @@ def write_file(out: Path, data: bytes) -> None:
             part.write_bytes(data)
         except OSError as error:
             raise SessionError(f"{out} cannot be written: {describe_disk(error)}") from error
+
+
+def file_sha256(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes, in hexadecimal digits."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

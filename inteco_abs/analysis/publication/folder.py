@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import hashlib
 import json
 import secrets
 import shutil
@@ -18,7 +17,7 @@ from inteco_abs.analysis.publication.anonymous import without_names, write_whole
 from inteco_abs.analysis.publication.description import Description
 from inteco_abs.analysis.publication.pages import readme, schema
 from inteco_abs.errors import ConfigError, SessionError, describe_disk
-from inteco_abs.sessions import Session, check_folder, export_session, read_session
+from inteco_abs.sessions import Session, check_folder, export_session, file_sha256, read_session
 
 _SUMS: Final = "SHA256SUMS"
 _READERS: Final = ("read_tables.py", "read_tables.m")
@@ -122,9 +121,9 @@ def _write(sessions: dict[str, Session], folder: Path, described: Description, *
     }
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8", newline="\n")
-    sums = {each.relative_to(folder).as_posix(): (_sha256(each), each.stat().st_size) for each in _below(folder)}
+    sums = {each.relative_to(folder).as_posix(): (file_sha256(each), each.stat().st_size) for each in _below(folder)}
     (folder / "ro-crate-metadata.json").write_text(described.crate(sums), encoding="utf-8", newline="\n")
-    sums["ro-crate-metadata.json"] = (_sha256(folder / "ro-crate-metadata.json"), 0)
+    sums["ro-crate-metadata.json"] = (file_sha256(folder / "ro-crate-metadata.json"), 0)
     lines = (f"{digest}  {name}\n" for name, (digest, _) in sorted(sums.items()))
     (folder / _SUMS).write_text("".join(lines), encoding="utf-8", newline="\n")
 
@@ -147,8 +146,3 @@ def _hash_of_ticks(session: Session) -> str:
 
 def _below(folder: Path) -> list[Path]:
     return sorted(each for each in folder.rglob("*") if each.is_file())
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
