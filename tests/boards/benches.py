@@ -473,8 +473,8 @@ class SocketBench(Usb2Bench):
             SocketLink.close(link)
 
 
-class CountingStream(ByteStream):
-    """Counts the bytes that have arrived."""
+class Counted:
+    """Of a stream: counts the bytes that have arrived."""
 
     arrived = 0
 
@@ -483,13 +483,12 @@ class CountingStream(ByteStream):
         return super().feed(data)
 
 
-class PumpedPort(SerialLink):
-    """The host's end of a pseudo-terminal; the board's side runs at once, as in `PumpedLink`."""
+class CountingStream(Counted, ByteStream):
+    """The mock's bytes, counted."""
 
-    def __init__(self, server: PtyServer, stream: CountingStream) -> None:
-        self._server = server
-        self._stream = stream
-        super().__init__(server.name, timeout_s=0.3, quiet_s=0.0)  # nothing is ever on its way
+
+class Pumped:
+    """Of a line: the board's side runs at once, as in `PumpedLink`."""
 
     def write(self, data: bytes | bytearray) -> None:
         wanted = self._stream.arrived + len(data)
@@ -498,20 +497,29 @@ class PumpedPort(SerialLink):
             self._server.step()
 
 
-class PtyBench(Usb0111Bench):
-    """The same over pyserial and a pseudo-terminal."""
+class PumpedPort(Pumped, SerialLink):
+    """The host's end of a pseudo-terminal."""
 
-    link_type = PromptLink
-    _open: ClassVar[deque[tuple[PtyServer, list[SerialLink]]]] = deque()
+    def __init__(self, server: PtyServer, stream: CountingStream) -> None:
+        self._server = server
+        self._stream = stream
+        super().__init__(server.name, timeout_s=0.3, quiet_s=0.0)  # nothing is ever on its way
+
+
+class OnPty:
+    """Connects a bench over pyserial and a pseudo-terminal."""
+
+    stream_of: ClassVar[type[Counted]] = CountingStream
+    line_of: ClassVar[type[Pumped]] = PumpedPort
+    _open: ClassVar[deque[tuple[PtyServer, list[Pumped]]]] = deque()
 
     def _connect(self) -> Link:
         if not hasattr(self, "server"):
-            self.stream = CountingStream(self.front_end)
-            self.server = PtyServer(self.stream)
-            self._links: list[SerialLink] = []
+            self.stream = self.stream_of(self.front_end)
+            self.server, self._links = PtyServer(self.stream), []
             self._open.append((self.server, self._links))
             self.close_all_but(BENCHES_OF_A_TEST)
-        self._links.append(PumpedPort(self.server, self.stream))
+        self._links.append(self.line_of(self.server, self.stream))
         return self._links[-1]
 
     @classmethod
@@ -522,3 +530,9 @@ class PtyBench(Usb0111Bench):
             for link in links:
                 link.close()
             server.hang_up()
+
+
+class PtyBench(OnPty, Usb0111Bench):
+    """The same over pyserial and a pseudo-terminal."""
+
+    link_type = PromptLink

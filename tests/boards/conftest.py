@@ -62,7 +62,6 @@ def new_bench(request):
         SysfsBench.close_all_but(0)
     SocketBench.close_all_but(0)
     PtyBench.close_all_but(0)
-    FirmwareOpenBench.close_all_but(0)
 
 
 @pytest.fixture(scope="session")

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sysconfig
 import time
+from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 
@@ -72,15 +73,15 @@ def mock(tmp_path):
     mock.process.communicate()
 
 
-@pytest.fixture
-def live(mock, tmp_path):
-    """Starts a stop on the mock's port; gives it once its loop may go."""
+@contextmanager
+def live_runs(folder, address, *fixed, rates_hz):
+    """What starts a stop at the board and gives it once its loop may go."""
     runs = []
 
-    def start(*settings, rates_hz=RATES_HZ):
+    def start(*settings, rates_hz=rates_hz):
         for rate_hz in rates_hz:
-            chosen = (*REAL_LIMITS, f"loop.rate_hz={rate_hz}", "experiment.start_speed_rad_s=60", *settings)
-            run = LiveRun(COMMAND, tmp_path, UNTRACED, "--board", f"usb:{mock.port}", settings=chosen, begun=False)
+            chosen = (*fixed, f"loop.rate_hz={rate_hz}", *settings)
+            run = LiveRun(COMMAND, folder, UNTRACED, "--board", address, settings=chosen, begun=False)
             runs.append(run)
             if begins(run):
                 return run
@@ -89,6 +90,13 @@ def live(mock, tmp_path):
     yield start
     for run in runs:
         run.destroy()
+
+
+@pytest.fixture
+def live(mock, tmp_path):
+    fixed = (*REAL_LIMITS, "experiment.start_speed_rad_s=60")
+    with live_runs(tmp_path, f"usb:{mock.port}", *fixed, rates_hz=RATES_HZ) as start:
+        yield start
 
 
 def begins(run):

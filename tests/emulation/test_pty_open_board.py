@@ -8,8 +8,7 @@ import time
 from contextlib import suppress
 
 import pytest
-from live import LiveRun
-from test_pty_board import BUSY, COMMAND, PAUSED, UNTRACED, Mock, begins
+from test_pty_board import BUSY, COMMAND, PAUSED, UNTRACED, Mock, live_runs
 
 pytestmark = [pytest.mark.xdist_group("real time"), pytest.mark.untraced, pytest.mark.long]
 
@@ -34,20 +33,9 @@ def mock(tmp_path):
 
 @pytest.fixture(params=["computer", "board"])
 def live(request, mock, tmp_path):
-    runs = []
-
-    def start():
-        for rate_hz in RATES_HZ:
-            chosen = (*SETTINGS, f"loop.rate_hz={rate_hz}", f'loop.pace="{request.param}"')
-            run = LiveRun(COMMAND, tmp_path, UNTRACED, "--board", f"open:{mock.port}", settings=chosen, begun=False)
-            runs.append(run)
-            if begins(run):
-                return run
-        raise AssertionError("the computer is too busy for any rate")
-
-    yield start
-    for run in runs:
-        run.destroy()
+    fixed = (*SETTINGS, f'loop.pace="{request.param}"')
+    with live_runs(tmp_path, f"open:{mock.port}", *fixed, rates_hz=RATES_HZ) as start:
+        yield start
 
 
 def test_a_whole_stop_replays_without_a_difference(live, mock):

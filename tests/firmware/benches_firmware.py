@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import ClassVar
 
 import benches_open
-from benches import BENCHES_OF_A_TEST, PtyBench, two_complement, untrusted_profiles
+from benches import BENCHES_OF_A_TEST, Counted, OnPty, PtyBench, Pumped, two_complement, untrusted_profiles
 from benches_open import OpenBench
 from host_board import HostBoard
 
@@ -74,14 +74,8 @@ class FirmwareFrontEnd:
         return answer
 
 
-class CountedFrames(FrameStream):
-    """Counts the bytes that have arrived."""
-
-    arrived = 0
-
-    def feed(self, data: bytes | bytearray) -> bytes:
-        self.arrived += len(data)
-        return super().feed(data)
+class CountedFrames(Counted, FrameStream):
+    """The firmware's bytes, counted."""
 
 
 class FirmwareUsbBench(PtyBench):
@@ -93,8 +87,8 @@ class FirmwareUsbBench(PtyBench):
     front_end_of = FirmwareFrontEnd
 
 
-class PumpedLine(FramedLine):
-    """The host's end of the pseudo-terminal; the board's side runs at once."""
+class PumpedLine(Pumped, FramedLine):
+    """The host's end of the pseudo-terminal."""
 
     def __init__(self, server: PtyServer, stream: CountedFrames) -> None:
         self._server = server
@@ -102,21 +96,15 @@ class PumpedLine(FramedLine):
         super().__init__(server.name, 115_200, timeout_s=0.3)
         self._quiet_s, self.timeout_s = 0.0, 0.02  # nothing is ever on its way
 
-    def write(self, data: bytes | bytearray) -> None:
-        wanted = self._stream.arrived + len(data)
-        super().write(data)
-        while self._stream.arrived < wanted:
-            self._server.step()
 
-
-class FirmwareOpenBench(OpenBench):
+class FirmwareOpenBench(OnPty, OpenBench):
     """The firmware under the driver of the open board."""
 
     identity = (0x0B01, BOARD_NAME, BOARD_DATE)
     wiring = (f'board.application_names=["{BOARD_NAME}"]',)
     untrusted: ClassVar = benches_open.untrusted_profiles(identity)
     front_end_of = FirmwareFrontEnd
-    _open: ClassVar[deque[tuple[PtyServer, list[PumpedLine]]]] = deque()
+    stream_of, line_of = CountedFrames, PumpedLine
 
     def __init__(self, *settings: str, **options) -> None:
         super().__init__(*self.wiring, *settings, **options)
@@ -125,21 +113,3 @@ class FirmwareOpenBench(OpenBench):
         """Through the vendor's logic, which needs no arming."""
         if settings:
             front_end.bulk_out(encode_send({"pin_mode": 0b11, **settings}, logic=0x0111))
-
-    def _connect(self):
-        if not hasattr(self, "server"):
-            self.stream = CountedFrames(self.front_end)
-            self.server, self._links = PtyServer(self.stream), []
-            self._open.append((self.server, self._links))
-            self.close_all_but(BENCHES_OF_A_TEST)
-        self._links.append(PumpedLine(self.server, self.stream))
-        return self._links[-1]
-
-    @classmethod
-    def close_all_but(cls, newest: int) -> None:
-        """As for sockets: a terminal has two descriptors here, and a port five."""
-        while len(cls._open) > newest:
-            server, links = cls._open.popleft()
-            for link in links:
-                link.close()
-            server.hang_up()
