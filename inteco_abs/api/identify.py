@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from inteco_abs.api.arguments import speaks_of_arguments
 from inteco_abs.api.configuration import as_list, setting_lines
 from inteco_abs.boards import kind_check
-from inteco_abs.config import load_config
-from inteco_abs.control import control_check
+from inteco_abs.config import ControllerConfig, EstimatorConfig, load_config
+from inteco_abs.control import LAG, control_check
 from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 from inteco_abs.experiment import Plan
-from inteco_abs.rig import nominal_parameters
 from inteco_abs.sessions import Session, read_session, session_config
 
 if TYPE_CHECKING:
     from inteco_abs.config import RigConfig
+    from inteco_abs.control import Controller
+    from inteco_abs.gain_design import Assessment
     from inteco_abs.identification import Identification, PlannedRun, Segment
 
 
@@ -71,7 +73,38 @@ def identified(
         problem = "no session has a run-up or a braking phase of the open-loop controller; --plan records some"
         raise ConfigError.of("SESSION", problem)
     say(f"fitting {len(parts)} phases of {count} sessions")
-    return fit(parts, nominal_parameters(rig.model), assumed, progress)
+    return fit(parts, rig.model, assumed, progress)
+
+
+def with_identified(rig: RigConfig, found: Identification, controllers: Mapping[str, type[Controller]]) -> RigConfig:
+    """`rig` with the identified model; its controller inverts the identified lag if it can and no lag is stated."""
+    model, gains = found.identified_model, dict(rig.controller.gains)
+    c31 = model.identified.c31
+    if c31 is not None and LAG in controllers[rig.controller.name].gains:
+        gains.setdefault(LAG.name, round(min(1.0 / c31, LAG.high), 4))
+    return replace(rig, model=model, controller=replace(rig.controller, gains=gains))
+
+
+def law_sections(rig: RigConfig) -> dict[str, Any]:
+    """The sections of a file that choose controller and estimator of `rig`, without values that are defaults."""
+    chosen = {"estimator": (rig.estimator, EstimatorConfig()), "controller": (rig.controller, ControllerConfig())}
+    return {
+        section: {key: value for key, value in own.as_table().items() if key == "name" or value != getattr(usual, key)}
+        for section, (own, usual) in chosen.items()
+    }
+
+
+def judged(rig: RigConfig, found: Identification) -> Assessment | None:
+    """The assessment of the gains of `rig` for all rigs within the intervals; None for a law without a switching gain.
+
+    Where an interval is missing, it is for the rigs of the population `hard`. Raises ConfigError as `design` does.
+    """
+    from inteco_abs.api.design import assessed
+    from inteco_abs.gain_design import LAWS
+
+    if rig.controller.name not in LAWS:
+        return None
+    return assessed(rig, found.uncertainty(rig.controller.reference_slip) or ())
 
 
 def _require_shares(assumed: Mapping[str, float]) -> None:

@@ -10,13 +10,23 @@ from typing import TYPE_CHECKING, Final
 import click
 
 from inteco_abs.cli.dry_run import Planned, check_start, dry_run_option, refuse_start
-from inteco_abs.cli.options import FILE, LOSSES, Finite, RunOptions, json_option, require_different, run_options
+from inteco_abs.cli.options import (
+    FILE,
+    LOSSES,
+    Finite,
+    RunOptions,
+    json_option,
+    known_controllers,
+    require_different,
+    run_options,
+)
 from inteco_abs.cli.session_files import read_whole
 from inteco_abs.cli.terminal import fit_progress, print_json, say, show
 from inteco_abs.errors import ConfigError, ConfigIssue
 
 if TYPE_CHECKING:
     from inteco_abs.config import RigConfig
+    from inteco_abs.gain_design import Assessment
     from inteco_abs.identification import Identification
 
 
@@ -46,6 +56,9 @@ _MOST_NAMED: Final = 12
     board="With --plan: board address; sim: is the mock board.",
     virtual="With --plan: use virtual time; sim: only.",
     rig="With --plan: simulate a sampled rig, as hard:17.",
+    controller="Also write this controller to --out, with the brake's lag where it inverts one, and check its gains "
+    "for the intervals, as `design` does.",
+    estimator="With --controller: the estimator that is written beside it.",
 )
 @click.option(
     "--assume",
@@ -71,14 +84,16 @@ def identify(
     From run-ups, coast-downs and brake steps it identifies frictions, drive motor, brake (static map, lag, dead time)
     and friction curve, each with a 95 % interval. Encoder counts give ratios only: geometry, inertias and the lever's
     moment come from the configuration's model, and their uncertainty (--assume) is part of the intervals. Ends with 3
-    if something could not be identified. With --plan after sessions, it records the runs that would make the intervals
-    narrowest, and says by how much; --dry-run only says it.
+    if something could not be identified. With --controller, the file of --out is all that `run --config` needs. With
+    --plan after sessions, it records the runs that would make the intervals narrowest, and says by how much; --dry-run
+    only says it.
     """
     from inteco_abs.boards import kind_check
     from inteco_abs.config import load_config
-    from inteco_abs.control import control_check
+    from inteco_abs.control import control_check, preferred_estimator
     from inteco_abs.views.figure import check_figure
 
+    _require_fitting(options, plan=plan)
     if not plan and not files:
         raise ConfigError.of("SESSION", "name at least one session, or --plan to record what is needed")
     if dry_run and not plan:
@@ -86,7 +101,9 @@ def identify(
     assumed = _assumed(assume)
     if plan:
         return _record(options, files, assumed, out, pause_s, dry_run=dry_run, as_json=as_json)
-    rig = load_config(options.config, options.settings, [kind_check, control_check()])
+    known = known_controllers(options.controller)
+    settings = (*options.settings, *options.chosen)
+    rig = load_config(options.config, settings, [kind_check, control_check(known)], follows=preferred_estimator(known))
     require_different({"--out": out, "--figure": figure})
     if out is not None:
         from inteco_abs.identification import check_parameter_file
@@ -95,17 +112,40 @@ def identify(
     if figure is not None:
         check_figure(figure)
     found = _identified(rig, files, assumed)
-    _report(found, out, figure, as_json=as_json)
+    _report(found, out, figure, rig if options.controller else None, as_json=as_json)
     return LOSSES if found.missing or not found.fit.converged else 0
 
 
-def _report(found: Identification, out: Path | None, figure: Path | None, *, as_json: bool) -> None:
+def _require_fitting(options: RunOptions, *, plan: bool) -> None:
+    """The controller and the estimator are those that will use the result."""
+    if plan and (options.controller or options.estimator):
+        option = "--controller" if options.controller else "--estimator"
+        raise ConfigError.of(option, "not with --plan, whose runs have steps of the brake; give it with the sessions")
+    if options.estimator and not options.controller:
+        raise ConfigError.of("--estimator", "only with --controller")
+    if options.controller and ".py" in options.controller:
+        problem = f"{options.controller}: a file cannot name it, as it is code; give it to `run`, beside --config"
+        raise ConfigError.of("--controller", problem)
+
+
+def _report(
+    found: Identification, out: Path | None, figure: Path | None, law: RigConfig | None, *, as_json: bool
+) -> None:
+    """Write and print the result, for the controller of `law` if there is one."""
+    from inteco_abs.api.identify import law_sections, with_identified
+    from inteco_abs.plugins import Controllers
+
+    law = None if law is None else with_identified(law, found, Controllers())
+    if out is not None:
+        found.save(out, None if law is None else law_sections(law))
+    assessment = None if law is None else _judged(law, found)
     if as_json:
-        print_json(found.report())
+        print_json(found.report() | ({} if assessment is None else {"design": assessment.report()}))
     else:
         show(found)
+        if assessment is not None:
+            show(assessment)
     if out is not None:
-        found.save(out)
         say(f"parameters: {out}; use them with --config {out}", err=True)
     if figure is not None:
         from inteco_abs.views.figure import save_figure
@@ -120,6 +160,17 @@ def _report(found: Identification, out: Path | None, figure: Path | None, *, as_
         say(f"inteco-abs: not identified: {', '.join(names[:_MOST_NAMED])}{others}: {why}", err=True)
     if not found.fit.converged:
         say("inteco-abs: the fit did not converge: look at the residuals (--figure)", err=True)
+
+
+def _judged(law: RigConfig, found: Identification) -> Assessment | None:
+    """The assessment by `design`; None, with the reason as a message, where it has none."""
+    from inteco_abs.api.identify import judged
+
+    try:
+        return judged(law, found)
+    except ConfigError as error:  # the fit is what was asked for, and stays
+        say(f"inteco-abs: the gains were not checked: {error}", err=True)
+        return None
 
 
 def _identified(rig: RigConfig, files: tuple[Path, ...], assumed: dict[str, float]) -> Identification:

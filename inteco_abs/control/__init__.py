@@ -2,6 +2,7 @@
 
 from inteco_abs.control.controllers import (
     CONTROLLERS,
+    LAG,
     BoundaryLayer,
     Controller,
     Gain,
@@ -67,6 +68,7 @@ from inteco_abs.control.wheel_dynamics import WheelDynamics
 __all__ = [
     "CONTROLLERS",
     "ESTIMATORS",
+    "LAG",
     "OVER",
     "REFERENCE",
     "REST_COUNTS",

@@ -2,12 +2,14 @@
 
 from inteco_abs.gain_design.advice import Advice
 from inteco_abs.gain_design.assessment import Assessment, judge_gains
+from inteco_abs.gain_design.gains import LAWS
 from inteco_abs.gain_design.harmonic_balance import Balance, Brake, identified_brake
 from inteco_abs.gain_design.uncertainty import HARD, KNOWN, Box, ParameterRange, faded_share, stated_box
 
 __all__ = [
     "HARD",
     "KNOWN",
+    "LAWS",
     "Advice",
     "Assessment",
     "Balance",

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
 import tomli_w
 
+from inteco_abs.config import ModelConfig
 from inteco_abs.errors import AbsError, ConfigError, describe_disk
 from inteco_abs.identification.discs import HARMONICS, amplitude
 from inteco_abs.identification.fit import Fit, Progress, fit
 from inteco_abs.identification.parameters import ASSUMED, Priors, torque_name
 from inteco_abs.identification.segments import Segment, SegmentKind
-from inteco_abs.rig import DriveMotor, RigParameters, adhesion, measured_torque
+from inteco_abs.rig import DriveMotor, RigParameters, adhesion, measured_torque, nominal_parameters
 from inteco_abs.sessions import check_output
 from inteco_abs.views.shown import Shown
 
@@ -105,21 +106,28 @@ class Identification(Shown):
     fit: Fit
     segments: tuple[Segment, ...]
     estimates: tuple[ParameterEstimate, ...]
+    model: ModelConfig
+    """The model that gave the priors and the geometry."""
 
     @property
     def missing(self) -> list[ParameterEstimate]:
         """Parameters that are not identified."""
         return [each for each in self.estimates if each.status == "not identified"]
 
-    def save(self, path: str | Path) -> Path:
+    def save(self, path: str | Path, sections: Mapping[str, Any] | None = None) -> Path:
         """Write the parameters to the new file `path` (.toml), for `run --config` or connect(config=...).
 
-        Raises ConfigError, SessionError or AbsError.
+        `sections` are further ones of the file, as {"controller": {"name": "boundary-layer"}}. Raises ConfigError,
+        SessionError or AbsError.
         """
         out = Path(path)
         check_parameter_file(out)
         try:
-            out.write_text(self.to_toml(), encoding="utf-8", newline="\n")
+            out.write_text(
+                tomli_w.dumps({"model": self.identified_model.as_table(), **(sections or {})}),
+                encoding="utf-8",
+                newline="\n",
+            )
         except OSError as error:
             raise AbsError(f"{out}: the parameters cannot be written: {describe_disk(error)}") from error
         return out
@@ -181,7 +189,12 @@ class Identification(Shown):
         ]
 
     def to_toml(self) -> str:
-        """The section [model.identified]; parameters that are not identified keep their published values."""
+        """The section [model], as TOML."""
+        return tomli_w.dumps({"model": self.identified_model.as_table()})
+
+    @property
+    def identified_model(self) -> ModelConfig:
+        """The model with the identified parameters; the others keep their values, as does the geometry."""
         by_name = {each.name: each for each in self.estimates}
         parameters = self.fit.priors.parameters(self.fit.values())
 
@@ -211,20 +224,59 @@ class Identification(Shown):
             ],
             self.fit.priors.base,
         )
-        return tomli_w.dumps({"model": {"identified": own}})
+        return replace(self.model, identified=replace(self.model.identified, **own))
+
+    def uncertainty(self, reference_slip: float) -> list[str] | None:
+        """The intervals as statements for `design`, for a law that holds `reference_slip`; None if one is missing.
+
+        As the law's brake is a straight line, the largest distance of the working points from it is that of b2.
+        """
+        by_name = {each.name: each for each in self.estimates}
+        line = self.identified_model.identified
+        points = [
+            (level, by_name[torque_name(level)])
+            for level in self.fit.priors.levels
+            if by_name[torque_name(level)].status == "identified"
+        ]
+        needed = [by_name[name] for name in ("r1/r2", "d2", "M20", *map(_mu_name, SLIPS))]
+        if line.b1 is None or line.b2 is None or any(each.status == "not identified" for each in needed):
+            return None
+        highest = max(torque.value for _, torque in points)
+        working = [(duty, torque) for duty, torque in points if torque.value >= _WORKING_SHARE * highest]
+        mu = np.interp(reference_slip, SLIPS, [_share(by_name[_mu_name(slip)]) for slip in SLIPS])
+        off = {name: _half(by_name[name]) for name in ("J1", "J2", "Mg", "d1", "M10", "d2", "M20")}
+        off["r1"] = _half(by_name["r1/r2"]) * self.fit.priors.base.r2
+        off["mu"] = float(mu)
+        off["brake_gain"] = max(_share(torque) for _, torque in working)
+        off["b2"] = max(abs(line.b1 * duty + line.b2 - torque.value) for duty, torque in working)
+        return [f"{name}={value:.3g}" for name, value in off.items()]
+
+
+def _half(estimate: ParameterEstimate) -> float:
+    return 0.5 * (estimate.high - estimate.low)
+
+
+def _share(estimate: ParameterEstimate) -> float:
+    """Half of the interval as a share of the value."""
+    return _half(estimate) / abs(estimate.value)
 
 
 def identify(
     segments: Sequence[Segment],
-    base: RigParameters,
+    model: ModelConfig,
     assumed: Mapping[str, float] = ASSUMED,
     progress: Progress | None = None,
 ) -> Identification:
-    """Identify the rig of `segments`; `base` is the prior, `assumed` the uncertainty of what is assumed, as shares."""
+    """Identify the rig of `segments`.
+
+    The parameters of `model` are the priors, and its geometry is that of the rig; `assumed` is the uncertainty of what
+    is assumed, as shares.
+    """
+    base = nominal_parameters(model)
     levels = tuple(sorted({level for segment in segments for level in segment.levels}))
     found = fit(segments, Priors(base, levels, {**ASSUMED, **assumed}), progress)
     kinds = {segment.kind for segment in segments}
-    return Identification(found, tuple(segments), (*_estimates(found, kinds), *_disc_errors(found)))
+    return Identification(found, tuple(segments), (*_estimates(found, kinds), *_disc_errors(found)), model)
 
 
 def _disc_errors(found: Fit) -> Iterator[ParameterEstimate]:

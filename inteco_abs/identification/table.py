@@ -16,7 +16,7 @@ _STYLES: Final = {"identified": "", "assumed": "dim", "not identified": "yellow"
 
 def render_identification(report: Mapping[str, Any]) -> RenderableType:
     """The report of an identification as a panel."""
-    table = Table.grid(padding=(0, 2))
+    table = Table.grid(padding=(0, 1))
     for head, justify in (("number", "left"), ("value", "right"), ("95 % interval", "right"), ("unit", "left")):
         table.add_column(Text(head, style="dim"), justify=justify, no_wrap=True)  # type: ignore[arg-type]  # literals
     table.add_column(Text("published", style="dim"), justify="right", no_wrap=True)

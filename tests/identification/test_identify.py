@@ -4,14 +4,17 @@ import json
 import math
 import re
 import tomllib
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import pytest
 from tracing import untraced
 
+from inteco_abs.api.identify import law_sections, with_identified
 from inteco_abs.cli.command import cli
-from inteco_abs.config import load_config
+from inteco_abs.config import IdentifiedConfig, ModelConfig, load_config
+from inteco_abs.control import CONTROLLERS
 from inteco_abs.errors import ConfigError
 from inteco_abs.experiment import Plan, run_stop
 from inteco_abs.identification import chosen, experiments, next_runs, segments
@@ -51,7 +54,7 @@ def parts_of(files):
 
 @pytest.fixture(scope="module")
 def found(sessions):
-    return fitted(parts_of(sessions.values()), RigParameters.named("mask"))
+    return fitted(parts_of(sessions.values()), ModelConfig())
 
 
 @pytest.fixture(scope="module")
@@ -131,6 +134,57 @@ def test_the_parameter_file_is_a_configuration_for_all_that_uses_a_model(identif
     assert model.identified.drive_no_load_speed_rad_s == estimates["drive_no_load_speed"]["value"]
 
 
+def test_the_file_for_a_controller_is_all_that_a_run_needs(found, tmp_path):
+    chosen_law = load_config(settings=("controller.name=boundary-layer", "estimator.name=kalman"))
+    law = with_identified(chosen_law, found, CONTROLLERS)
+    loaded = load_config(found.save(tmp_path / "law.toml", law_sections(law)))
+    assert loaded == law
+    assert (loaded.controller.name, loaded.estimator.name) == ("boundary-layer", "kalman")
+    assert loaded.controller.gains == {"lag_s": pytest.approx(1.0 / loaded.model.identified.c31, abs=1e-4)}
+    stated = replace(chosen_law, controller=replace(chosen_law.controller, gains={"lag_s": 0.055}))
+    assert with_identified(stated, found, CONTROLLERS).controller.gains == {"lag_s": 0.055}
+
+
+def test_the_uncertainty_for_design_is_that_of_the_intervals(identified, found):
+    stated = dict(statement.split("=") for statement in found.uncertainty(0.2))
+    mu, d2 = identified[0]["mu(0.2)"], identified[0]["d2"]
+    assert float(stated["mu"]) == pytest.approx(0.5 * (mu["high"] - mu["low"]) / mu["value"], rel=0.01)
+    assert float(stated["d2"]) == pytest.approx(0.5 * (d2["high"] - d2["low"]), rel=0.01)
+    unknown = [replace(each, status="not identified") if each.name == "d2" else each for each in found.estimates]
+    assert replace(found, estimates=tuple(unknown)).uncertainty(0.2) is None
+
+
+def test_the_file_keeps_the_geometry_and_the_parameter_set_of_the_configuration(found):
+    measured = IdentifiedConfig(r2=0.0991, L=0.371, phi_rad=1.14)
+    kept = replace(found, model=ModelConfig(parameters="table", identified=measured)).identified_model
+    assert kept.parameters == "table"
+    assert (kept.identified.r2, kept.identified.L, kept.identified.phi_rad) == (0.0991, 0.371, 1.14)
+    assert kept.identified.d2 == found.identified_model.identified.d2
+
+
+@pytest.mark.long
+def test_a_rig_of_another_geometry_is_found_and_its_stop_replays(tmp_path, capsys):
+    geometry = {"r1": 0.085, "r2": 0.11, "L": 0.40, "phi_rad": 1.20}
+    rows = "\n".join(f"{name} = {value}" for name, value in geometry.items())
+    population = tmp_path / "other.toml"
+    population.write_text(f'base = "hard"\n\n[parameters]\n{rows}\n', encoding="utf-8")
+    rig, out = ("--virtual", "--rig", f"{population}:5"), tmp_path / "rig.toml"
+    own = [word for name in ("r2", "L", "phi_rad") for word in ("--set", f"model.identified.{name}={geometry[name]}")]
+    slow = ("--set", "guard.run_up_factor=3.0")
+    assert identify("--plan", *rig, *slow, "-o", tmp_path / "plan") == 0
+    sessions = sorted((tmp_path / "plan").glob("*.mcap"))
+    assert identify(*sessions, *own, "--controller", "boundary-layer", "-o", out) == 0
+    found = nominal_parameters(load_config(out).model)
+    assert (found.r2, found.L, found.phi_rad) == (0.11, 0.40, 1.20)
+    assert found.r1 == pytest.approx(geometry["r1"], rel=0.002)
+    capsys.readouterr()
+    stop = ("run", *rig, *slow, "--config", out, "--quiet", "--json", "--out", tmp_path / "stop.mcap")
+    untraced(partial(cli.main, list(map(str, stop)), standalone_mode=False))
+    assert json.loads(capsys.readouterr().out)["slip_rms_true"] < 0.02
+    cli.main(["replay", str(tmp_path / "stop.mcap"), "--json"], standalone_mode=False)
+    assert json.loads(capsys.readouterr().out)["differing"] == 0
+
+
 @pytest.mark.long
 def test_a_coast_down_alone_leaves_the_brake_unknown_which_is_named(sessions, capsys):
     out = sessions["coast"].with_name("coast.toml")
@@ -171,6 +225,10 @@ def test_the_figure_shows_what_is_left(sessions, tmp_path):
             ("a.mcap", "-o", Path(__file__).parents[2] / "pyproject.toml"),
             "exists already, and files are never overwritten",
         ),
+        (("--plan", "--controller", "boundary-layer"), "not with --plan"),
+        (("a.mcap", "--estimator", "kalman"), "only with --controller"),
+        (("a.mcap", "--controller", "own.py:Law"), "a file cannot name it"),
+        (("a.mcap", "--controller", "boundary"), "boundary-layer"),
         (("--plan", "--board", "usb2:", "--rig", "hard:1"), "a real board has its own rig"),
     ],
 )
@@ -204,7 +262,7 @@ def test_the_next_run_brings_what_it_promises(sessions, found, tmp_path):
     run = next(each for each in next_runs(found, 1.0, 60.0) if "release_delay" in each.shows)
     slower = ("experiment.start_speed_rad_s=60", "simulation.rig=hard:3", *run.settings)
     untraced(run_stop, load_config(settings=slower), Plan(tmp_path / "next.mcap"))
-    again = fitted(parts_of([*sessions.values(), tmp_path / "next.mcap"]), RigParameters.named("mask"))
+    again = fitted(parts_of([*sessions.values(), tmp_path / "next.mcap"]), ModelConfig())
     promised = float(re.search(r"brake_release_delay from ±[\d.e-]+ to ±([\d.e-]+) s", run.shows)[1])
     assert half_widths(again)["brake_release_delay"] == pytest.approx(promised, rel=0.5)
     assert promised < 0.5 * half_widths(found)["brake_release_delay"]
@@ -243,16 +301,21 @@ def test_a_wrong_configuration_of_the_plan_is_reported_as_json(capsys):
 def test_a_law_on_the_identified_model_holds_the_slip_ten_times_better(tmp_path, capsys):
     rig, found = ("--virtual", "--rig", "hard:17"), tmp_path / "rig.toml"
     assert identify("--plan", *rig, "-o", tmp_path / "plan") == 0
-    assert identify(*sorted((tmp_path / "plan").glob("*.mcap")), "-o", found) == 0
-    law = ("--controller", "boundary-layer", "--estimator", "kalman", "--set", "controller.gains.lag_s=0.055")
+    capsys.readouterr()
+    law = ("--controller", "boundary-layer", "--estimator", "kalman")
+    assert identify(*sorted((tmp_path / "plan").glob("*.mcap")), *law, "--json", "-o", found) == 0
 
-    def slip_rms(name, *model):
+    def slip_rms(name, *given):
         capsys.readouterr()
-        run = ("run", *rig, *law, *model, "--quiet", "--json", "--out", tmp_path / name)
+        run = ("run", *rig, *given, "--quiet", "--json", "--out", tmp_path / name)
         untraced(partial(cli.main, list(map(str, run)), standalone_mode=False))
         return json.loads(capsys.readouterr().out)["slip_rms_true"]
 
-    assert slip_rms("identified.mcap", "--config", found) < 0.1 * slip_rms("published.mcap")
+    assert json.loads(capsys.readouterr().out)["design"]["loop"]
+    lag = f"controller.gains.lag_s={load_config(found).controller.gains['lag_s']}"
+    identified = slip_rms("identified.mcap", "--config", found)
+    assert identified < 0.0035
+    assert identified < 0.12 * slip_rms("published.mcap", *law, "--set", lag)
 
 
 def test_the_plan_keeps_to_the_guards_limit():

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from inteco_abs.control.controllers.base import Controller, Gain, ModelLaw, Setup
+from inteco_abs.control.controllers.base import LAG, Controller, Gain, ModelLaw, Setup
 from inteco_abs.control.controllers.linear import ProportionalIntegral, Steps
 from inteco_abs.control.controllers.predictive import SWING_BAND, PredictiveReaching
 from inteco_abs.control.controllers.reaching import (
@@ -32,6 +32,7 @@ CONTROLLERS: Final[dict[str, type[Controller]]] = {
 
 __all__ = [
     "CONTROLLERS",
+    "LAG",
     "SWING_BAND",
     "BoundaryLayer",
     "ConstantRate",
