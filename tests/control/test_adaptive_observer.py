@@ -122,3 +122,13 @@ def test_a_slow_release_is_distinguished_from_a_slow_rise(rolling, ratio):
     assert learnt["brake_release_ratio"] == pytest.approx(ratio, rel=0.25)
     assert learnt["brake_dead_time_s"] == seen.outlook.brake_dead_time_s == pytest.approx(0.01, abs=0.003)
     assert 1.0 / learnt["c31"] == pytest.approx(seen.outlook.brake_lag_s) == pytest.approx(0.05, rel=0.2)
+
+
+@pytest.mark.parametrize(("fade_per_kj", "least", "most"), [(0.0, 0.0, 0.0001), (1.0, 0.0003, 0.0011)])
+def test_the_fade_of_the_brake_is_learnt_from_its_loss_of_torque(rolling, fade_per_kj, least, most):
+    rig = RigVariation(brake_dead_time_s=0.01, brake_map="measured", brake_fade_per_kj=fade_per_kj)
+    run = driven(rolling, rig, speed_rad_s=165.0)
+    for _ in range(1200):
+        run.tick(lambda _seen: Command(0.0, 0.65))
+    assert least <= run.observer.ekf.fade < most
+    assert driven(rolling, rig).observer.ekf.fade == 0.0

@@ -29,6 +29,12 @@ _UNSETTLED: Final = 0.5
 """Standard deviation of the brake's torque at the start, as a share of the torque commanded last."""
 _LOST_RAD: Final = 0.5
 """Innovation of a wheel's angle beyond which the filter has diverged."""
+_CALM_S: Final = 0.1
+"""Time after a step of the adhesion, or after that in which none is assumed, from which on the fade is learnt."""
+_LEAST_LOSS: Final = 100.0
+"""Loss of torque by a fade of 1/J, in N m/s, below which none is learnt: 1 N m at 100 rad/s."""
+_MOST_FADE: Final = 0.002
+"""1/J; the whole torque would be gone after 500 J, and a stop has some 400."""
 _STEP_PAUSE_S: Final = 0.010
 """Shortest time between two steps of the adhesion."""
 MISLED_SD: Final = (0.03, 5.0, 0.03, 1.0)
@@ -91,6 +97,8 @@ class EkfTuning:
     """Whether the ratio of the radii is learnt in the run-up."""
     finds_onset: bool = False
     """Whether dead time and lag far from the prior ones are found by how the wheel departs from rolling."""
+    fade_gain: float = 0.0
+    """Rate at which what corrects the excess torque passes for the brake's fade, 1/s; 0: it is not learnt."""
     learns_second: bool = False
     """Whether the discs' errors twice per turn are learnt there."""
 
@@ -131,6 +139,9 @@ class EkfState:
     surprise: float = 0.0
     step_in_s: float = 0.0
     """Until a step of the adhesion may show."""
+    fade: float = 0.0
+    """Share of its torque that the brake loses by each joule in it, 1/J. The excess torque falls by that, and follows
+    without lag; this one follows its corrections, as the integral part of an observer does."""
     radius_ratio: float = 1.0
     """Ratio of the radii r1/r2 over the published one. The wheel's angle and speed in the state are this times the real
     ones, so that the published radii hold for them."""
@@ -154,7 +165,7 @@ def begin(k: EkfConstants, s: EkfState, pending: DelayState, wheel: DiscState, r
     P[11][11] = elementary.raised(sd.release_sd, 2)
     for i in range(6):
         P[5 + i][5 + i] = elementary.raised(deviations[i], 2)
-    s.surprise, s.step_in_s = 0.0, sd.step_after_s
+    s.surprise, s.step_in_s, s.fade = 0.0, sd.step_after_s, 0.0
 
 
 def _restart_covariance(k: EkfConstants, s: EkfState) -> None:
@@ -181,12 +192,14 @@ def braking_ekf(
     steps = max(ticks, math.ceil(dt_s / _LONGEST_STEP_S - 1e-6))
     for left in range(steps - 1, -1, -1):
         predict(k, s, pending, dt_s / steps, left * ticks // steps)
+    x, before_nm = s.x, s.x[5]
     if not correct(k, s, wheel_angle, road_angle):
         return False
+    if k.tuning.fade_gain > 0.0 and s.step_in_s <= -_CALM_S:
+        _learn_fade(k, s, x[5] - before_nm)
     s.step_in_s -= dt_s
     if s.step_in_s <= 0.0 and abs(s.surprise) > k.tuning.surprise:
         _allow_step(k, s)
-    x = s.x
     x[9] = min(max(x[9], SHORTEST_DEAD_TIME_S), k.tuning.longest_dead_time_s)
     x[10] = min(max(x[10], k.tuning.shortest_lag_s), k.tuning.longest_lag_s)
     x[11] = min(max(x[11], _LEAST_RELEASE), _MOST_RELEASE)
@@ -281,8 +294,21 @@ def predict(k: EkfConstants, s: EkfState, pending: DelayState, T: float, ago: in
     s.wheel_by_factor, s.road_by_factor = wheel_by_mu * mu, road_by_mu * mu
     x[0], x[1], x[2], x[3] = th1 + T * x1 + half * a1, x1 + T * a1, th2 + T * x2 + half * a2, x2 + T * a2
     x[4] = settled + (M - settled) * left
+    x[5] -= T * s.fade * _loss_by_fade(M, x[5], x1)
     _carry(s.P, t)
     _widen(k.tuning, s.P, T, (settled - M) / lag, x2)
+
+
+def _loss_by_fade(M: float, d: float, x1: float) -> float:
+    """Rate in N m/s at which a torque `M` that is off by `d` falls with a fade of 1/J, in a wheel with speed `x1`."""
+    return M * (M + d) * x1
+
+
+def _learn_fade(k: EkfConstants, s: EkfState, corrected_nm: float) -> None:
+    """Learn the fade from what corrected the excess torque in this sample."""
+    loss = _loss_by_fade(s.x[4], s.x[5], s.x[1])
+    if loss > _LEAST_LOSS:
+        s.fade = min(max(s.fade - k.tuning.fade_gain * corrected_nm / loss, 0.0), _MOST_FADE)
 
 
 def _carry(P: list[Row], t: _Transition) -> None:

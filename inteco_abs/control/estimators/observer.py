@@ -339,6 +339,7 @@ ANY_BRAKE: Final = EkfTuning(
     release_ratio=1.87,
     release_sd=1.62,
     latch_jitter_s=0.000052,
+    fade_gain=2.0,
     learns_radius=True,
     learns_second=True,
     finds_onset=True,
