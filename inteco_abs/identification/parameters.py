@@ -73,8 +73,8 @@ class Priors:
             FitParameter("scale", 1.0, 1.0),
             FitParameter("J1", k.J1, 1.0),
             FitParameter("Mg", k.Mg, 1.0),
-            FitParameter("d1", k.d1, self.assumed["d1"] / _UNIFORM),
-            FitParameter("M10", k.M10, self.assumed["M10"] / _UNIFORM),
+            FitParameter("d1", k.d1, 1.0),
+            FitParameter("M10", k.M10, 1.0),
             FitParameter("r1/r2", k.r1 / k.r2, _RADII),
             FitParameter("d", k.d2 + share * k.d1, 1.0),
             FitParameter("M0", k.M20 + k.r2 / k.r1 * k.M10, 1.0),
@@ -100,17 +100,19 @@ class Priors:
     def weights(self) -> Floats:
         """The priors as rows of equations, each over its standard deviation.
 
-        J1, J2 and Mg have absolute priors, which fix the scale; all others have priors of their ratio to J.
+        What is assumed has absolute priors, which fix the scale; all others have priors of their ratio to J.
         """
         names = [each.name for each in self.fit_parameters]
-        scale, J1, Mg = (names.index(name) for name in ("scale", "J1", "Mg"))
+        scale, J1, Mg, d1, M10 = (names.index(name) for name in FIXED)
         rows = np.diag([1.0 / each.sd for each in self.fit_parameters])
-        rows[[scale, J1, Mg]] = 0.0
+        rows[[scale, J1, Mg, d1, M10]] = 0.0
         k = self.base
         for row, name, place, slope in (
             (scale, "J2", J1, -self.rolling_share * k.J1 / k.J2),  # J stays as it is when J1 grows
             (J1, "J1", J1, 1.0),
             (Mg, "Mg", Mg, 1.0),
+            (d1, "d1", d1, 1.0),
+            (M10, "M10", M10, 1.0),
         ):
             sd = self.assumed[name] / _UNIFORM
             rows[row, scale], rows[row, place] = 1.0 / sd, slope / sd
@@ -125,15 +127,15 @@ class Priors:
         """Parameters by name, from the coordinates of the search.
 
         Other radii change the J of wheels whose J1 and J2 are those of the priors. The search keeps J all the same, as
-        all that it finds would have to follow the radii; so the scale has that change, and J1 and Mg, whose priors are
-        absolute, have its inverse.
+        all that it finds would have to follow the radii; so the scale has that change, and the others of FIXED, whose
+        priors are absolute, have its inverse.
         """
         found = {each.name: each.value(one) for each, one in zip(self.fit_parameters, coordinates, strict=False)}
         k, ratio = self.base, found["r1/r2"]
         change = (k.J2 + k.J1 / (ratio * ratio)) / (k.J2 + self.rolling_share * k.J1)
         found["scale"] *= change
-        found["J1"] /= change
-        found["Mg"] /= change
+        for name in FIXED[1:]:
+            found[name] /= change
         return found
 
     def parameters(self, values: Mapping[str, float], *, scaled: bool = True) -> RigParameters:
