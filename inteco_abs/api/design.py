@@ -18,7 +18,7 @@ from inteco_abs.rig import nominal_parameters
 if TYPE_CHECKING:
     from inteco_abs.config import RigConfig
     from inteco_abs.control import Controller
-    from inteco_abs.gain_design import Assessment, Brake
+    from inteco_abs.gain_design import Assessment, Brake, Certificate
 
 _SLOWEST_RAD_S: Final = 10.0
 _FASTEST_RAD_S: Final = 245.0
@@ -40,8 +40,8 @@ def design(
     from_slip: float | None = None,
     lag_s: tuple[float, float] | None = None,
     dead_time_s: float | None = None,
-) -> Assessment:
-    """Check gains of reaching-law, constant-rate or boundary-layer for a rig that is not known exactly.
+) -> Assessment | Certificate:
+    """Check gains of a law for a rig that is not known exactly.
 
     It computes how large Mq must be for sliding, by (25) and (26), how long reaching may take, by (20), and whether the
     brake is strong enough, for an ideal loop. With the `lag_s` and `dead_time_s` of the brake (s, both in 0..1), or a
@@ -50,6 +50,9 @@ def design(
     lowest and highest, in 0.1..245 rad/s; `slip_band` are slips in 0.01..1 at which sliding is checked, beside the
     reference alone, and `from_slip` one in 0..1 from which reaching is checked, too. `advice` of the result is empty if
     the gains hold for the whole set of rigs. Raises ConfigError.
+
+    That is for `reaching-law`, `constant-rate` and `boundary-layer`. Of `predictive-reaching` it certifies the linear
+    loop: how far gain, dead time and lag of the brake may be from what the observer expects, by road speed.
     """
     known = known_controllers(controller)
     chosen = chosen_settings(settings, gains, None if controller is None else name_of(controller))
@@ -71,9 +74,9 @@ def assessed(
     from_slip: float | None = None,
     lag_s: tuple[float, float] | None = None,
     dead_time_s: float | None = None,
-) -> Assessment:
+) -> Assessment | Certificate:
     """The assessment of a configuration; `uncertain` are NAME=SPREAD. Raises ConfigError."""
-    from inteco_abs.gain_design import HARD, faded_share, judge_gains, stated_box
+    from inteco_abs.gain_design import HARD, PREDICTED, certify, faded_share, judge_gains, stated_box
 
     speeds = speeds_rad_s or (_SLOWEST_RAD_S, max(rig.experiment.start_speed_rad_s, _SLOWEST_RAD_S + 1.0))
     slips = [0.0] if from_slip is None else [0.0, from_slip]
@@ -85,6 +88,11 @@ def assessed(
     box = stated_box(uncertain or HARD, nominal_parameters(rig.model))
     if share := faded_share(rig):
         box = box.faded(share)
+    if rig.controller.name == PREDICTED:
+        for option, given in (("--slip-band", slip_band), ("--from-slip", from_slip)):
+            if given is not None:
+                raise ConfigError.of(option, f"belongs to laws with a switching gain: leave it out for {PREDICTED}")
+        return certify(rig, box, speeds, brake)
     return judge_gains(rig, box, speeds, slip_band, slips, brake)
 
 

@@ -100,11 +100,12 @@ def judged(rig: RigConfig, found: Identification) -> Assessment | None:
     Where an interval is missing, it is for the rigs of the population `hard`. Raises ConfigError as `design` does.
     """
     from inteco_abs.api.design import assessed
-    from inteco_abs.gain_design import LAWS
+    from inteco_abs.gain_design import LAWS, Assessment
 
     if rig.controller.name not in LAWS:
         return None
-    return assessed(rig, found.uncertainty(rig.controller.reference_slip) or ())
+    assessment = assessed(rig, found.uncertainty(rig.controller.reference_slip) or ())
+    return assessment if isinstance(assessment, Assessment) else None
 
 
 def _require_shares(assumed: Mapping[str, float]) -> None:

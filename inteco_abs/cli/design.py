@@ -21,7 +21,7 @@ from inteco_abs.cli.terminal import print_json, show
 
 
 @click.command()
-@run_options("config", "settings", controller="reaching-law, constant-rate or boundary-layer.")
+@run_options("config", "settings", controller="reaching-law, constant-rate, boundary-layer or predictive-reaching.")
 @click.option(
     "--uncertain",
     multiple=True,
@@ -79,8 +79,9 @@ def design(
     It computes how large Mq must be for sliding, by (25) and (26), how long reaching may take, by (20), and whether the
     brake is strong enough within its duty limit, for an ideal loop without lag, delay and noise. With --lag, or the
     brake of a parameter file of `identify`, it also finds limit cycles of the real loop, and how much further delay it
-    bears; an identified fade makes the brake weaker. Ends with 0 if the gains hold for the whole set of rigs, with 3 if
-    there is advice.
+    bears; an identified fade makes the brake weaker. Of predictive-reaching it certifies how far gain, dead time and
+    lag of the brake may be from what the observer expects before the loop oscillates. Ends with 0 if the gains hold for
+    the whole set of rigs, with 3 if there is advice.
     """
     from inteco_abs.api.design import assessed
     from inteco_abs.boards import kind_check

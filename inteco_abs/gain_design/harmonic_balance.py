@@ -24,6 +24,7 @@ from inteco_abs.errors import ConfigError
 from inteco_abs.gain_design.advice import Advice, Case
 from inteco_abs.gain_design.bounds import Floats
 from inteco_abs.gain_design.gains import Gains
+from inteco_abs.rig import RigParameters
 from inteco_abs.signals import BoardFlags, Sample
 
 _SPEEDS: Final = 6
@@ -107,8 +108,7 @@ def balances(config: RigConfig, case: Case, brake: Brake) -> list[Balance]:
     Raises ConfigError for an estimator that models the brake itself.
     """
     rows = []
-    slowest = min(max(case.speeds[0], deceleration(case) * _BEFORE_REST_S), case.speeds[-1])
-    for speed in np.linspace(slowest, case.speeds[-1], _SPEEDS).tolist():
+    for speed in frozen_speeds(case.nominal, case.reference.slip, (case.speeds[0], case.speeds[-1])).tolist():
         both = [
             _balance(config, case, lag_s, brake.dead_time_s, speed) for lag_s in {brake.least_lag_s, brake.most_lag_s}
         ]
@@ -174,9 +174,16 @@ class _Loop(NamedTuple):
         return max(0.0, float((self.phase(at) + math.pi)[0] / at[0]))
 
 
-def deceleration(case: Case) -> float:
-    """Deceleration of the nominal rig's road in rad/s2 while the brake holds the reference slip, by equation (10)."""
-    model, slip, speed = BrakingModel(case.nominal), case.reference.slip, float(case.speeds[0])
+def frozen_speeds(nominal: RigParameters, slip: float, speeds: tuple[float, float]) -> Floats:
+    """Several road speeds from..to, but for those less than 0.25 s before the standstill."""
+    low, high = speeds
+    slowest = min(max(low, _deceleration(nominal, slip, low) * _BEFORE_REST_S), high)
+    return np.linspace(slowest, high, _SPEEDS)
+
+
+def _deceleration(nominal: RigParameters, slip: float, speed: float) -> float:
+    """Deceleration of the nominal rig's road in rad/s2 while the brake holds a slip, by equation (10)."""
+    model = BrakingModel(nominal)
     f, g = model.terms(slip, speed)
     S = model.S(slip)
     by_speed = S * model.c21 / model.ratio * (1.0 - slip) + model.c23

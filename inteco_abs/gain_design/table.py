@@ -37,34 +37,47 @@ _LOOP_COLUMNS: Final = (
 )
 
 
+_CERTIFICATE_COLUMNS: Final = (
+    "speed\nrad/s",
+    "decay\n1/s",
+    "least\ngain",
+    "most\ngain",
+    "earlier\nms",
+    "later\nms",
+    "least\nlag ms",
+    "most\nlag ms",
+    "all\nthree",
+    "this\nset",
+)
+
+
 def render_design(report: Mapping[str, Any]) -> RenderableType:
     """The report of an assessment as a panel; a dash for infinite values."""
     body = [_facts(report), Text(), _table(report["curves"]), Text()]
     if report["loop"]:
         body += [_loop(report["loop"]), Text()]
+    width = report["gains"].get("width", 0.0)
+    what = f"slip within {width:g} of the reference" if width else "sliding"
+    sure = f"{what} is guaranteed for the whole set, within the brake's limits"
+    return Panel(Group(*body, *_advised(report, sure)), title="design", expand=False)
+
+
+def _advised(report: Mapping[str, Any], sure: str) -> Iterator[Text]:
+    """All advice, or `sure` without any."""
     for one in report["advice"]:
-        body += [
-            Text.assemble((one["about"], "bold yellow"), f": {one['found']}"),
-            Text(f"  -> {one['next_step']}", "dim"),
-        ]
+        yield Text.assemble((one["about"], "bold yellow"), f": {one['found']}")
+        yield Text(f"  -> {one['next_step']}", "dim")
     if not report["advice"]:
-        width = report["gains"].get("width", 0.0)
-        what = f"slip within {width:g} of the reference" if width else "sliding"
-        body.append(Text(f"{what} is guaranteed for the whole set, within the brake's limits", "green"))
-    return Panel(Group(*body), title="design", expand=False)
+        yield Text(sure, "green")
 
 
 def _facts(report: Mapping[str, Any]) -> RenderableType:
     gains = ", ".join(f"{name} = {value:g}" for name, value in report["gains"].items())
-    table = Table.grid(padding=(0, 2))
-    table.add_column(style="dim", no_wrap=True)
-    table.add_column(overflow="fold")
-    table.add_row("law", Text(f"{report['controller']}, {gains}, reference slip {report['reference_slip']:g}"))
+    table = _grid(("law", f"{report['controller']}, {gains}, reference slip {report['reference_slip']:g}"))
     low, high = report["slips"]
     if low != high:
         table.add_row("conditions for", Text(f"slips {low:g}..{high:g}"))
-    spreads = (f"{name} {low:.4g}..{high:.4g}" for name, (low, high) in report["uncertain"].items())
-    table.add_row("uncertain", Text(", ".join(spreads) or "nothing"))
+    table.add_row("uncertain", Text(_spreads(report)))
     if report["brake"]:
         late = "lag {least_lag_s:g}..{most_lag_s:g} s, dead time up to {dead_time_s:g} s".format(**report["brake"])
         table.add_row("brakes", Text(late))
@@ -77,6 +90,29 @@ def _facts(report: Mapping[str, Any]) -> RenderableType:
     return table
 
 
+def _grid(first: tuple[str, str]) -> Table:
+    """Names and what they are."""
+    table = Table.grid(padding=(0, 2))
+    table.add_column(style="dim", no_wrap=True)
+    table.add_column(overflow="fold")
+    table.add_row(first[0], Text(first[1]))
+    return table
+
+
+def _columns(heads: Sequence[str]) -> Table:
+    """Numbers under these heads."""
+    table = Table.grid(padding=(0, 1))
+    for head in heads:
+        table.add_column(Text(head, style="dim"), justify="right", no_wrap=True)
+    table.show_header = True
+    return table
+
+
+def _spreads(report: Mapping[str, Any]) -> str:
+    spreads = (f"{name} {low:.4g}..{high:.4g}" for name, (low, high) in report["uncertain"].items())
+    return ", ".join(spreads) or "nothing"
+
+
 def _reaching(way: Mapping[str, Any]) -> Iterator[str]:
     yield "no bound by (20)" if way["bound_s"] is None else f"{way['bound_s']:.4f} s by (20)"
     yield "never reached" if way["time_s"] is None else f"{way['time_s']:.4f} s within the brake's limits"
@@ -84,10 +120,7 @@ def _reaching(way: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _table(curves: Mapping[str, Any]) -> RenderableType:
-    table = Table.grid(padding=(0, 1))
-    for head, _ in _COLUMNS:
-        table.add_column(Text(head, style="dim"), justify="right", no_wrap=True)
-    table.show_header = True
+    table = _columns([head for head, _ in _COLUMNS])
     last = len(curves["road_speed_rad_s"]) - 1
     for row in range(_ROWS):
         at = row * last // (_ROWS - 1)
@@ -97,12 +130,30 @@ def _table(curves: Mapping[str, Any]) -> RenderableType:
     return table
 
 
+def render_certificate(report: Mapping[str, Any]) -> RenderableType:
+    """The report of a certificate as a panel."""
+    expected, brake = report["expected"], report["brake"]
+    facts = _grid(("law", f"{report['controller']} on {report['estimator']}, slip {report['reference_slip']:g}"))
+    brakes = "a dead time of {dead_time_s:g} s, a lag of {least_lag_s:g} s"
+    facts.add_row("expects", Text(brakes.format(**expected)))
+    if brake:
+        late = "lag {least_lag_s:g}..{most_lag_s:g} s, dead time up to {dead_time_s:g} s".format(**brake)
+        facts.add_row("brakes", Text(late))
+    facts.add_row("uncertain", Text(_spreads(report)))
+    facts.add_row("gain", Text(f"off by up to {100.0 * report['gain_error']:.1f} % in this set"))
+    facts.add_row("radii", Text(f"r1/r2 1 % larger: slip off by {report['slip_offset']:g}, no less stable"))
+    table = _columns(_CERTIFICATE_COLUMNS)
+    for row in report["loop"]:
+        ms = (1e3 * row[name] for name in ("earlier_s", "later_s", "least_lag_s", "most_lag_s"))
+        cells = (row["road_speed_rad_s"], row["decay_per_s"], row["least_gain"], row["most_gain"], *ms)
+        table.add_row(*map(shown, cells), shown(row["together"], ".0%"), "yes" if row["certified"] else "no")
+    sure = "the loop holds its reference for the whole set, as far as it is linear"
+    return Panel(Group(facts, Text(), table, Text(), *_advised(report, sure)), title="design", expand=False)
+
+
 def _loop(rows: Sequence[Mapping[str, Any]]) -> RenderableType:
     """The loop with lag, dead time, sampling and estimator; a dash for infinite values."""
-    table = Table.grid(padding=(0, 1))
-    for head in _LOOP_COLUMNS:
-        table.add_column(Text(head, style="dim"), justify="right", no_wrap=True)
-    table.show_header = True
+    table = _columns(_LOOP_COLUMNS)
     for row in rows:
         ms = (1e3 * row["delay_s"], None if row["delay_margin_s"] is None else 1e3 * row["delay_margin_s"])
         gains = row["most_gain_per_s"], row["gain_per_s"]

@@ -141,7 +141,6 @@ WRONG = [
         ["controller.reference_points", "one slip", "controller.reference_slip"],
     ),
     (["--controller", "pi"], ["'pi' has no switching gain", "reaching-law"]),
-    (["--controller", "predictive-reaching"], ["'predictive-reaching' has no switching gain", "reaching-law"]),
     (["--controller", "own.py"], ["own.py:Class"]),
     (["--controller", "reachin-law"], ["did you mean reaching-law"]),
     (["--set", "controller.gains.Mx=1"], ["controller.gains.Mx", "Mk, Mq"]),
