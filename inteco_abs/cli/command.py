@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import sys
+import threading
+from collections.abc import Collection
+from contextlib import suppress
 from importlib import import_module
 from io import TextIOWrapper
-from typing import Final
+from typing import Final, NoReturn
 
 import click
 
@@ -107,6 +111,7 @@ def main() -> None:
     """Entry point of the command: maps every way to end to its exit code, without a traceback."""
     debug = "--debug" in sys.argv
     _replace_missing_letters()
+    threads = threading.enumerate()
     try:
         code = cli.main(prog_name="inteco-abs", standalone_mode=False)
     except click.ClickException as error:
@@ -137,4 +142,13 @@ def main() -> None:
             err=True,
         )
         code = 1
+    _leave(code, threads)
+
+
+def _leave(code: int, threads: Collection[threading.Thread]) -> NoReturn:
+    """End with the exit code, and do not wait for others than these `threads`, which a user's code has left running."""
+    if any(not thread.daemon for thread in threading.enumerate() if thread not in threads):
+        with suppress(OSError):
+            sys.stdout.flush()
+        os._exit(code)
     sys.exit(code)

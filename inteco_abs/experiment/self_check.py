@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import io
-from contextlib import redirect_stdout
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Final
 
@@ -30,7 +33,7 @@ def replay_problem(config: RigConfig, plan: Plan, result: RunResult) -> str:
         return ""
     late = late_files()
     try:
-        with redirect_stdout(io.StringIO()), time_limit():  # it has printed already
+        with redirect_stdout(io.StringIO()), _without_copies(), time_limit():  # it has printed already
             problem = _difference(config, plan, _beginning(Path(result.card["session"])))
     except AbsError as error:
         problem = f"the replay of its decisions cannot be checked: {error}"
@@ -38,6 +41,20 @@ def replay_problem(config: RigConfig, plan: Plan, result: RunResult) -> str:
         problem += f"{'; ' if problem else ''}the controller opened {', '.join(late)} while it ran, not when it was "
         problem += "loaded or made, so the session does not keep that"
     return problem
+
+
+@contextmanager
+def _without_copies() -> Iterator[None]:
+    """End the copies of this process that the controller forks, which would print the card, too, and its children."""
+    process = os.getpid()
+    try:
+        yield
+    finally:
+        if os.getpid() != process:
+            os._exit(1)
+        if multiprocessing := sys.modules.get("multiprocessing.process"):
+            for child in multiprocessing.active_children():
+                child.kill()
 
 
 def _beginning(path: Path) -> Session:
