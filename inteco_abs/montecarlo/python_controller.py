@@ -18,12 +18,14 @@ _NUMBERS: Final = 6 + len(Prediction._fields)
 """Wheel and road speed, slip, validity, time since the last sample, whether there is a prediction, and that."""
 _UPDATE: Final = ctypes.CFUNCTYPE(ctypes.c_double, *[ctypes.c_double] * _NUMBERS)
 _NO_PREDICTION: Final = (0.0,) * (1 + len(Prediction._fields))
+_SWITCHING: Final = (-1.0,) * _NUMBERS
+"""Asks for the switching variable of the last demand: no estimate has a validity of -1."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Constants:
     address: int
-    """Address of the function to call with _NUMBERS, which returns the brake's duty."""
+    """Address of the function to call with _NUMBERS, which returns the brake's duty, or with _SWITCHING."""
 
 
 @dataclass(slots=True)
@@ -49,10 +51,11 @@ _call: Final[Any] = intrinsic(_code_of_call)
 
 
 def _ask(k: _Constants, _s: _State, estimate: Estimate, dt_s: float) -> BrakeDemand:
-    """Demand of the controller; only its duty, as a stop needs nothing else."""
+    """Demand of the controller: its duty and switching variable, as a stop needs nothing else."""
     wheel_speed, road_speed, slip, valid, outlook = estimate
     numbers = wheel_speed, road_speed, slip, 1.0 if valid else 0.0, dt_s
-    return BrakeDemand(_call(k.address, numbers + _flat(outlook)), 0.0, 0.0, (0.0, 0.0, 0.0, 0.0))
+    brake = _call(k.address, numbers + _flat(outlook))
+    return BrakeDemand(brake, 0.0, _call(k.address, _SWITCHING), (0.0, 0.0, 0.0, 0.0))
 
 
 def _flat(seen: Prediction | None) -> tuple[float, ...]:
@@ -77,17 +80,22 @@ class PythonController(_State):
     def __init__(self, controller: Controller) -> None:
         super().__init__()
         self._controller = controller
+        self._switching = 0.0
         self.error: BaseException | None = None
         """What the controller raised."""
         self._update = _UPDATE(self._answer)  # ctypes frees the code of a function that nothing refers to
         self.k = _Constants(ctypes.cast(self._update, ctypes.c_void_p).value or 0)
 
     def _answer(self, *numbers: float) -> float:
+        if numbers == _SWITCHING:
+            return self._switching
         try:
             wheel_speed, road_speed, slip, valid, dt_s, predicted, *prediction = numbers
             outlook = Prediction(*prediction) if predicted else None
             estimate = Estimate(wheel_speed, road_speed, slip, valid > 0.0, outlook)
-            return demand_of(self._controller, estimate, dt_s).brake
+            demand = demand_of(self._controller, estimate, dt_s)
         except BaseException as error:  # noqa: BLE001  ctypes would print and forget it
             self.error = error
             return math.nan
+        self._switching = demand.switching
+        return demand.brake
