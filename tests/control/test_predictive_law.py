@@ -230,8 +230,8 @@ def test_its_steps_follow_from_the_errors_that_are_recorded_of_it(course):
     controller, recorded, demand = law(), FallBack(GAINS["swing_band"]), BrakeDemand(0.0)
     for slip, periods, reference in course:
         controller.reference = 0.2 + 0.01 * reference
-        for _ in range(periods):
-            demand = controller.update(seen(outlook(slip, 180.0)), PERIOD_S)
+        for tick in range(periods):  # an error stays the same to the bit only where the demand is held
+            demand = controller.update(seen(outlook(slip + 1e-9 * (tick % 2), 180.0)), PERIOD_S)
             assert recorded.follow(demand.switching, controller.reference, PERIOD_S) == controller.steps
         demand = controller.update(seen(None), PERIOD_S)  # held
         assert recorded.follow(demand.switching, controller.reference, PERIOD_S) == controller.steps

@@ -22,6 +22,7 @@ from inteco_abs.cli import main
 from inteco_abs.mock_board import Device
 from inteco_abs.rig import plant
 from inteco_abs.sessions import provenance, read_session
+from inteco_abs.warm_up import asked_for
 from tests.faults.lines import OURS, Counting, Line, Strike, Tracing
 from tests.faults.stage import SHORTEST
 
@@ -84,6 +85,7 @@ class Lives:
     def live(self, tracing: Tracing | None = None) -> Life:
         """From its first line to its last."""
         devices = []
+        asked_for.clear()  # lines that weigh whether machine code pays are those of a new process
 
         class Remembered(Device):
             def __init__(self, *arguments, **named):

