@@ -23,6 +23,8 @@ from typing import NamedTuple
 
 KEPT = Path(".pytest_cache/v")
 MOST_TRIED_AGAIN = 5
+WORKERS = str(len(os.sched_getaffinity(0)) + 1)
+"""One more than cores, as tests that wait for processes leave theirs idle."""
 NICENESS = 19
 TESTS_FAILED = 1
 """Exit code of pytest when tests ran and some of them failed."""
@@ -67,7 +69,7 @@ class Check:
     def tests(self, name: str, selection: str, *, others: Future[None]) -> None:
         """Run the selected tests on all cores, and those that failed again when the `others` have ended."""
         # tests of one group stay on one worker: real-time runs would be each other's load
-        parallel = ("-n", "auto", "--dist", "loadgroup", "--cache-clear")
+        parallel = ("-n", WORKERS, "--dist", "loadgroup", "--cache-clear")
         code = self.run(name, *self.pytest, "-m", selection, *parallel)
         others.result()  # raises what kept them from running
         failed = unsteady_tests() if code == TESTS_FAILED else []
