@@ -34,6 +34,7 @@ def test_a_compiled_stop_has_the_bits_of_python(name):
     assert compiled.metrics.tobytes() == time_decisions(config, RIGS, KNOWN).stops.metrics.tobytes()
 
 
+@pytest.mark.long
 def test_a_compiled_stop_follows_a_changing_reference_with_the_bits_of_python():
     config = Law("lqr", "lqr", "kalman").config(KNOWN)
     config = replace(

@@ -105,6 +105,7 @@ def test_an_unsigned_draft_does_not_run(commission):
     assert "reading only" in run.stderr
 
 
+@pytest.mark.long
 def test_reading_steps_need_no_answers_and_the_rest_follows_later(commission, whole_script):
     first = commission("--virtual", "--yes-read-only", "--json")
     assert first.returncode == 0, first.stderr

@@ -38,6 +38,7 @@ def test_no_means_that_nothing_is_written(lab, scripts):
     assert lab.outcomes()["echo"] == "open"
 
 
+@pytest.mark.long
 def test_what_has_been_agreed_to_is_shown_again_and_not_asked_again(lab, scripts):
     lab.done_until("motors")
     lab.session(*scripts["motors"]).go(only="motors")

@@ -41,6 +41,7 @@ def test_a_vendors_rig_is_commissioned_from_end_to_end(lab, whole_script):
     assert lab.rig.device.duties == (0.0, 0.0)
 
 
+@pytest.mark.long
 @pytest.mark.untraced
 def test_an_odd_rig_is_found_out(lab, scripts, odd):
     lab.session(

@@ -21,6 +21,7 @@ def test_the_logic_is_written_in_hex(lab):
     assert "logic_version = 0x0103" in lab.file.read_text()
 
 
+@pytest.mark.long
 @pytest.mark.untraced
 def test_the_draft_can_be_used_after_every_write(lab, whole_script, monkeypatch):
     procedure = lab.session(*whole_script)

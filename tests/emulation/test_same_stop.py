@@ -69,7 +69,7 @@ def test_a_whole_stop_is_the_same_over_every_link_of_this_process(link):
     assert_same(stop(link, SEED), reference)
 
 
-@pytest.mark.parametrize("link", ["pyusb", "USB/IP"])
+@pytest.mark.parametrize("link", ["pyusb", pytest.param("USB/IP", marks=pytest.mark.long)])
 def test_a_short_stop_is_the_same_over_every_link_of_this_process(link):
     assert_same(stop(link, SEED, SHORT), in_process(*SHORT))
 

@@ -61,6 +61,7 @@ PROTECTIONS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", PROTECTIONS)
 def test_without_this_protection_the_campaign_finds_a_violation(campaign, monkeypatch, name):
     where, attribute, replacement, number = PROTECTIONS[name]

@@ -206,6 +206,7 @@ def test_a_better_known_inertia_makes_the_interval_narrower(sessions, capsys):
     assert known == pytest.approx(half_width() / 5.0, rel=0.1)
 
 
+@pytest.mark.long
 def test_the_figure_shows_what_is_left(sessions, tmp_path):
     identify(sessions["coast"], "--figure", tmp_path / "left.png")
     assert (tmp_path / "left.png").stat().st_size > 10_000

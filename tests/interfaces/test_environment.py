@@ -79,6 +79,7 @@ def together(envs, actions, **reset):
         yield *rest, observations, info
 
 
+@pytest.mark.long
 @compiles
 @pytest.mark.parametrize(
     "choices",

@@ -43,6 +43,7 @@ def require_targets(stops, median_rms):
     assert stops["overshoot"].max() < 0.02
 
 
+@pytest.mark.long
 @pytest.mark.untraced
 def test_the_slip_of_a_hard_rig_is_held_to_a_thousandth_and_a_half():
     require_targets(stops_of("hard", 4, OURS), 0.0015)

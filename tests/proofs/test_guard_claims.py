@@ -244,6 +244,7 @@ def test_the_guard_keeps_its_claim(claim):
     assert refuted(holds, *assumed) is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("claim", "module", "old", "new"), CLAIMS, ids=lambda each: getattr(each, "__name__", ""))
 def test_a_changed_guard_breaks_the_claim(claim, module, old, new):
     holds, assumed = claim(admitted(tuple(changed(module, old, new).items())))

@@ -306,6 +306,7 @@ def test_the_classes_keep_the_claim(claim):
     assert refuted(holds, *assumed) is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("claim", "module", "old", "new"), CLAIMS, ids=lambda each: getattr(each, "__name__", ""))
 def test_a_changed_class_breaks_the_claim(claim, module, old, new):
     holds, assumed = claim(tuple(changed(module, old, new).items()))
@@ -318,6 +319,7 @@ def test_the_classes_keep_what_is_proven_of_the_functions(claim):
     assert refuted(holds, *assumed) is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "line"), OF_THE_FUNCTIONS)
 def test_a_changed_class_breaks_what_is_proven_of_the_functions(name, line):
     (claim,) = {claim for claim, *_ in OF_PHASES if claim.__name__ == name}

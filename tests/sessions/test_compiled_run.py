@@ -73,7 +73,10 @@ def assert_same(both, *settings, compiled=True, **options):
             ),
             marks=pytest.mark.long,
         ),
-        ('experiment.changes=["reference_slip=0.3@#40", "Mk=9@#90"]', "controller.name=boundary-layer"),
+        pytest.param(
+            ('experiment.changes=["reference_slip=0.3@#40", "Mk=9@#90"]', "controller.name=boundary-layer"),
+            marks=pytest.mark.long,
+        ),
         ('simulation.rig="own:1"', f"simulation.population={json.dumps(DEFECTIVE)}"),
         ("simulation.wheel_sign=-1", "board.wheel_sign=-1", 'board.pwm_mode="8-bit"', "loop.rate_hz=1000.0"),
     ],

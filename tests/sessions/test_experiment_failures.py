@@ -332,6 +332,7 @@ class TestLongerThanItsMemory:
         )
         assert session.ticks["tick"].tolist() == list(range(first, first + account.card["ticks"]))
 
+    @pytest.mark.long
     def test_what_a_full_disk_has_and_what_memory_has_make_one_session(
         self, disturbed, monkeypatch, tmp_path, rings, replayed
     ):

@@ -95,6 +95,7 @@ def test_a_ramp_over_speed_is_that_of_the_estimated_speed(run_at, tmp_path):
     assert_replays(made.session)
 
 
+@pytest.mark.long
 def test_a_formula_is_that_of_time_and_estimated_speed(run_at, tmp_path):
     made = run_at(tmp_path / "sine.mcap", (*QUICK, *SINE, *IDEAL_BRAKE))
     ticks = braking_of(made.session)[1:]  # the first demand follows the tick in which braking begins

@@ -150,7 +150,8 @@ def one_cpu():
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
 
 
-@pytest.mark.parametrize("confined", [pytest.param(all_cpus, marks=pytest.mark.long), one_cpu])
+@pytest.mark.long
+@pytest.mark.parametrize("confined", [all_cpus, one_cpu])
 def test_a_loop_that_never_yields_its_cpu_is_ended_by_the_guardian(live, tmp_path, untraced, monkeypatch, confined):
     (tmp_path / "sitecustomize.py").write_text(HANGING)
     monkeypatch.setitem(untraced, "PYTHONPATH", str(tmp_path))

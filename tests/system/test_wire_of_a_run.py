@@ -28,6 +28,7 @@ def test_our_driver_writes_the_same_again_and_every_tick_is_there(captured, inte
     assert shown["traffic"]["SEND"]["rate_hz"] == pytest.approx(2000, rel=0.01)
 
 
+@pytest.mark.long
 def test_another_wiring_is_found_by_its_words(captured, inteco_abs):
     captured("--virtual")
     run = inteco_abs("wire", "replay", "x.jsonl", "--set", "board.pwm_prescaler=60", check=4)
@@ -47,6 +48,7 @@ def test_a_run_in_real_time_keeps_its_wire_too_and_the_same_in_its_session(intec
     assert replay["differing"] == 0
 
 
+@pytest.mark.long
 def test_a_capture_of_another_kind_of_board_is_refused(captured, inteco_abs):
     captured("--virtual")
     run = inteco_abs("wire", "replay", "x.jsonl", "--set", "profile=sim_usb", check=2)
