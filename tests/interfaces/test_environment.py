@@ -20,7 +20,6 @@ from inteco_abs.montecarlo import run_stops
 from inteco_abs.rig import POPULATIONS, draw
 from inteco_abs.signals import Estimate
 
-pytestmark = pytest.mark.untraced
 compiles = pytest.mark.xdist_group("compiled")
 
 

@@ -204,7 +204,7 @@ def test_a_signal_ends_busy_workers_and_the_same_command_continues(
     inteco_abs, command_path, tmp_path, jobs, number, code
 ):
     (tmp_path / "law.py").write_text(WAITING)
-    command = ("sweep", *QUICK, "--rigs", "hard:5-24", "--controller", "law.py:Law", "--jobs", str(jobs))
+    command = ("sweep", *QUICK, "--rigs", "hard:5-44", "--controller", "law.py:Law", "--jobs", str(jobs))
     command = (*command, "--store", "folder", "--json")
     sweep = subprocess.Popen(
         [command_path, *command], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -218,8 +218,8 @@ def test_a_signal_ends_busy_workers_and_the_same_command_continues(
     assert 2 <= len(list((tmp_path / "folder" / "part").iterdir())) <= 4
     (tmp_path / "go").touch()
     again = inteco_abs(*command, check=0)
-    assert [row["stops"] for row in json.loads(again.stdout)["rows"]] == [2, 20]
-    assert int(re.search(r"^(\d+) stops, ", again.stderr, re.MULTILINE)[1]) < 22
+    assert [row["stops"] for row in json.loads(again.stdout)["rows"]] == [2, 40]
+    assert int(re.search(r"^(\d+) stops, ", again.stderr, re.MULTILINE)[1]) < 42
     assert inteco_abs("sweep", "--show", "folder", "--json", check=0).stdout == again.stdout
 
 

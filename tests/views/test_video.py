@@ -10,8 +10,6 @@ from inteco_abs.errors import AbsError, ConfigError
 from inteco_abs.signals import Phase
 from inteco_abs.views.video import VideoOptions, check_video, write_video
 
-pytestmark = pytest.mark.untraced  # other tests reach these lines, too
-
 SMALL = {"height_px": 300, "range_s": (0.0, 0.05)}
 
 
