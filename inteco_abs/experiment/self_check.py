@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from inteco_abs.config import RigConfig
 from inteco_abs.control import CONTROLLERS, build_pipeline
@@ -45,16 +45,25 @@ def replay_problem(config: RigConfig, plan: Plan, result: RunResult) -> str:
 
 @contextmanager
 def _without_copies() -> Iterator[None]:
-    """End the copies of this process that the controller forks, which would print the card, too, and its children."""
-    process = os.getpid()
+    """End the copies of this process that the controller forks, which would print the card, too, and its children.
+
+    Processes that the caller has begun before stay.
+    """
+    process, before = os.getpid(), _children()
     try:
         yield
     finally:
         if os.getpid() != process:
             os._exit(1)
-        if multiprocessing := sys.modules.get("multiprocessing.process"):
-            for child in multiprocessing.active_children():
+        for child in _children():
+            if child not in before:
                 child.kill()
+
+
+def _children() -> list[Any]:
+    """Living processes of `multiprocessing`, which a program without any need not import."""
+    multiprocessing = sys.modules.get("multiprocessing.process")
+    return multiprocessing.active_children() if multiprocessing else []
 
 
 def _beginning(path: Path) -> Session:

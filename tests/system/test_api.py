@@ -5,8 +5,10 @@ import importlib.util
 import io
 import json
 import linecache
+import multiprocessing
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -98,6 +100,17 @@ def test_a_class_whose_decisions_do_not_replay_is_warned_of(rig, tmp_path):
 
     with pytest.warns(UserWarning, match="the decisions do not replay: .* something outside of itself that changes"):
         rig.run_stop(Counting, out=tmp_path / "counting.mcap")
+
+
+def test_a_programs_own_processes_survive_a_run(rig, tmp_path):
+    child = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(60.0,))
+    child.start()
+    try:
+        rig.run_stop(Bang, out=tmp_path / "stop.mcap")
+        assert child.is_alive()
+    finally:
+        child.kill()
+        child.join()
 
 
 def test_a_session_replays(stop, own):
