@@ -14,7 +14,14 @@ from inteco_abs.errors import ConfigError
 from inteco_abs.gain_design.advice import Advice
 from inteco_abs.gain_design.bounds import AtSlip
 from inteco_abs.gain_design.harmonic_balance import Brake, frozen_speeds
-from inteco_abs.gain_design.predicted_loop import BrakeBox, Margins, PredictedLoop, margins, predicted_loops
+from inteco_abs.gain_design.predicted_loop import (
+    SHORTEST_LAG_S,
+    BrakeBox,
+    Margins,
+    PredictedLoop,
+    margins,
+    predicted_loops,
+)
 from inteco_abs.gain_design.uncertainty import Box
 from inteco_abs.views.shown import Shown
 
@@ -24,8 +31,6 @@ if TYPE_CHECKING:
 
 PREDICTED: Final = "predictive-reaching"
 """The controller that is judged by its loop."""
-_SHORTEST_LAG_S: Final = 0.0002
-"""Less is a small part of a period, for which the loop is the same."""
 _PERCENT: Final = 0.01
 
 
@@ -115,7 +120,7 @@ def _stated(loop: PredictedLoop, brake: Brake | None, gain_error: float) -> Brak
         return BrakeBox(gain)
     later_s = brake.dead_time_s - loop.dead_time_s
     least, most = min(brake.least_lag_s, loop.lag_s), max(brake.most_lag_s, loop.lag_s)
-    return BrakeBox(gain, (min(later_s, 0.0), max(later_s, 0.0)), (max(least, _SHORTEST_LAG_S), most))
+    return BrakeBox(gain, (min(later_s, 0.0), max(later_s, 0.0)), (max(least, SHORTEST_LAG_S), most))
 
 
 def _advice(rows: Sequence[Margins], certified: Sequence[bool], brake: Brake | None, gain_error: float) -> list[Advice]:

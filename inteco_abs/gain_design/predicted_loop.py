@@ -58,7 +58,8 @@ _RESERVE: Final = 0.1
 """Distance of F from 1, in the logarithm of its size and in its phase in rad."""
 _MOST_GAIN: Final = 20.0
 _LATEST_S: Final = 0.2
-_SHORTEST_LAG_S: Final = 0.0002
+SHORTEST_LAG_S: Final = 0.0002
+"""Less is a small part of a period, for which the loop is the same."""
 _LONGEST_LAG_S: Final = 1.0
 
 Complex = NDArray[np.complex128]
@@ -160,7 +161,7 @@ def margins(loop: PredictedLoop) -> Margins:
     weaker = _MOST_GAIN ** most(lambda share: BrakeBox(gain=(_MOST_GAIN**-share, 1.0)))
     later = _LATEST_S * most(lambda share: BrakeBox(later_s=(0.0, share * _LATEST_S)))
     earlier = dead_time_s * most(lambda share: BrakeBox(later_s=(-share * dead_time_s, 0.0)))
-    longest, shortest = _LONGEST_LAG_S / lag_s, _SHORTEST_LAG_S / lag_s
+    longest, shortest = _LONGEST_LAG_S / lag_s, SHORTEST_LAG_S / lag_s
     longer = longest ** most(lambda share: BrakeBox(lag_s=(lag_s, lag_s * longest**share)))
     shorter = shortest ** most(lambda share: BrakeBox(lag_s=(lag_s * shortest**share, lag_s)))
 

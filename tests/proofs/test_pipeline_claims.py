@@ -91,7 +91,7 @@ def as_admitted(command, state):
     return z3.And(z3.fpEQ(command[0], state.drive), z3.fpEQ(command[1], state.brake))
 
 
-# claims: of any pipeline, sample and request, whatever estimator and controller return or raise
+# claims: of any pipeline, sample and request, and of anything that estimator and controller return or raise
 
 
 def the_command_is_what_the_guard_admits(change=()):
