@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from inteco_abs.control import FallBack, PredictiveReaching, Setup
@@ -167,6 +167,7 @@ def test_reaching_from_rolling_wheels_asks_for_a_torque_that_holds_some_slip(sli
 
 
 @given(OUTLOOKS, st.lists(OUTLOOKS, max_size=3))
+@example(outlook(1.0, 6.0, slowest_release_ratio=math.inf), [])
 def test_the_demand_is_a_duty_and_finite_numbers_for_any_prediction(first, more):
     controller = law()
     for expected in (first, *more):

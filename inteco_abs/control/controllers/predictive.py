@@ -22,6 +22,8 @@ _RISEN_SLIP: Final = 0.035
 """Slip from which the adhesion is nearly full; reaching demands the torque of at least this slip."""
 _LEAST_HELD_NM: Final = 1.0
 """Torque below which the limit of the slip deceleration by a slow release falls no further."""
+_LEAST_DECELERATION: Final = 1e-6
+"""Slip deceleration in 1/s2 that any release leaves: without one, reaching has no slope."""
 
 
 SWING_BAND: Final = "swing_band"
@@ -96,7 +98,7 @@ def _find_torques(k: PredictiveConstants, s: PredictiveState, estimate: Estimate
         held, by_held, _ = demanded_torque(k.contact, slip, 0.0, x1, x2, factor * mu)
         release_s = seen.brake_lag_s * seen.slowest_release_ratio
         most = k.release_share * max(held - seen.excess_torque_nm, _LEAST_HELD_NM) / (by_held * release_s)
-        deceleration = min(deceleration, most)
+        deceleration = min(deceleration, max(most, _LEAST_DECELERATION))
     share = _share(k, s, switching, dt_s)
     rate, slope = _approach(share * k.k, switching, deceleration)
     wanted, by_rate, by_adhesion = demanded_torque(k.contact, slip, -rate, x1, x2, factor * mu)
