@@ -185,11 +185,11 @@ def demand_of(controller: Controller, estimate: Estimate, dt_s: float) -> BrakeD
     with the place of the controller's `update` as a note.
     """
     demand = controller.update(estimate, dt_s)
-    if type(demand) is BrakeDemand:
-        brake, torque, switching, internals = demand
-        if type(brake) is type(torque) is type(switching) is float and tuple(map(type, internals)) == _FOUR_FLOATS:
-            return demand
     try:
+        if type(demand) is BrakeDemand:
+            brake, torque, switching, internals = demand
+            if type(brake) is type(torque) is type(switching) is float and tuple(map(type, internals)) == _FOUR_FLOATS:
+                return demand
         return _recordable(demand)
     except (TypeError, ValueError) as error:
         if (code := getattr(controller.update, "__code__", None)) is not None:

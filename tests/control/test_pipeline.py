@@ -290,6 +290,56 @@ def test_the_estimator_gets_what_the_exchange_of_its_sample_wrote():
     assert len(set(received)) > 1
 
 
+class Tuned(Scripted):
+    """A controller whose gain `force` can change; changing `weak` fails."""
+
+    force, reference = 0.6, 0.2
+
+    def __init__(self) -> None:
+        super().__init__(lambda _call: BrakeDemand(self.force))
+        self.changed = []
+
+    def change_gain(self, name, value):
+        self.changed.append(name)
+        if name == "weak":
+            fail()
+        self.force = value
+
+
+def tuned(stops=1):
+    config = load_config(settings=[f"experiment.stops={stops}"])
+    return Pipeline(config, ESTIMATORS["euler"](config, RigParameters.named("mask")), Tuned())
+
+
+def test_a_changed_gain_is_the_controllers_and_a_changed_reference_is_the_slip_to_hold():
+    pipeline = tuned()
+    pipeline.change("force", 0.4)
+    assert (pipeline.machine.controller.force, pipeline.reference_slip) == (0.4, 0.2)
+    pipeline.change("reference_slip", 0.3)
+    assert (pipeline.machine.controller.reference, pipeline.reference_slip) == (0.3, 0.3)
+    assert pipeline.error is None
+
+
+@pytest.mark.parametrize("stops", [1, 2])
+def test_a_gain_is_changed_once_in_the_controller_of_this_stop_and_once_in_that_of_the_next(stops):
+    pipeline = tuned(stops)
+    pipeline.change("force", 0.4)
+    machine = pipeline.machine
+    assert machine.controller.changed == machine.controller_as_made.changed == ["force"]
+    assert machine.controller_as_made.force == 0.4
+
+
+def test_a_change_that_raises_ends_the_run_and_no_gain_changes_after_it():
+    pipeline = tuned()
+    pipeline.change("weak", 1.0)
+    pipeline.change("force", 0.4)
+    assert isinstance(pipeline.error, ZeroDivisionError)
+    assert pipeline.machine.controller.force == 0.6
+    tick = pipeline.step(rest(0))
+    assert (tick.phase, tick.reason) == (Phase.FAULT, Reason.CONTROLLER_ERROR)
+    assert_only_safe_from_now_on(pipeline, tick)
+
+
 def test_a_controller_that_wants_to_exit_ends_the_run_and_not_the_loop(experiment):
     def leave(_call):
         raise SystemExit(0)
@@ -341,6 +391,9 @@ def test_controller_returning_a_wrong_type_ends_the_run_not_the_loop(experiment,
     assert last.phase is Phase.FAULT
     assert last.reason in (Reason.CONTROLLER_ERROR, Reason.BAD_OUTPUT)
     assert (last.drive, last.brake) == Command.SAFE
+    if last.reason is Reason.CONTROLLER_ERROR:
+        (where,) = run.pipeline.error.__notes__
+        assert "test_pipeline.py" in where
 
 
 @pytest.mark.parametrize("brake", [math.nan, math.inf, None, True, "0.5", np.float64("nan"), np.ones(1)], ids=repr)
