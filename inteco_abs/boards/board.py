@@ -83,7 +83,7 @@ class Board(ABC):
         self.armed = False
         """Whether each exchange after a good one feeds the watchdog, if the wiring has one; nothing else does."""
         self.late_ns = 0
-        """How late the newest `report` came, ns."""
+        """How late the newest `report` came, ns; 0 before the first."""
         self.skipped = 0
         """Ticks of the board between the newest `report` and the one before."""
         self._now_ns = now_ns

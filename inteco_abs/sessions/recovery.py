@@ -328,10 +328,10 @@ class _RecoveredSession:
 
     def _copy(self, recorder: FileWriter) -> RunningCard:
         """Copy the rows in blocks, with the log; return their card."""
-        card, none = RunningCard(self._config()), (TICK.array(b""), TRUTH.array(b""))
-        parts = zip_longest(self._ticks.blocks(), self._truths.blocks())
+        card = RunningCard(self._config())
         known = (
-            (none[0] if ticks is None else ticks, none[1] if truths is None else truths) for ticks, truths in parts
+            (TICK.array(b"") if ticks is None else ticks, TRUTH.array(b"") if truths is None else truths)
+            for ticks, truths in zip_longest(self._ticks.blocks(), self._truths.blocks())
         )
         blocks = in_step(known, _BLOCK_TICKS, self._truths.count)
         for block in copy_rows(recorder, blocks, self._content.events, self._epoch_ns):

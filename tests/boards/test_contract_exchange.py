@@ -30,6 +30,12 @@ class TestExchange:
             assert (sample.tick, sample.dt_s) == (0, bench.config.period_ns / 1e9)
             assert bench.exchange().tick == 1
 
+    def test_without_reports_of_its_own_pace_it_is_never_late(self, new_bench):
+        bench = new_bench()
+        with bench.board as board:
+            bench.exchange()
+            assert (board.late_ns, board.skipped) == (0, 0)
+
     def test_driving_turns_both_wheels_and_the_counts_follow_them(self, new_bench):
         bench = new_bench(seed=11)
         road_start, wheel_start = bench.device.counts()

@@ -236,7 +236,7 @@ class TestMessages:
             link.read(FRAME_BYTES)
         assert 0.009 < time.monotonic() - before < PATIENCE_S
 
-    def test_the_kernel_waits_for_the_board_for_10_ms_and_no_longer(self, path, monkeypatch):
+    def test_the_kernel_waits_for_the_board_for_10_ms_or_as_long_as_set(self, path, monkeypatch):
         made = []
 
         class Kept(socket.socket):
@@ -246,12 +246,16 @@ class TestMessages:
 
         board = Scripted(path, GREETING)
         monkeypatch.setattr(links.socket, "socket", Kept)
-        link = SocketLink(path)
-        set_times = [made[0].getsockopt(socket.SOL_SOCKET, o, 16) for o in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO)]
+        link, options = SocketLink(path), (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO)
+        set_times = [made[0].getsockopt(socket.SOL_SOCKET, option, 16) for option in options]
+        link.timeout_s = 1.5
+        longer_times = [made[0].getsockopt(socket.SOL_SOCKET, option, 16) for option in options]
         link.close()
         board.close()
         for seconds, microseconds in map(struct.Struct("ll").unpack, set_times):
             assert (seconds, 10_000 <= microseconds < 20_000) == (0, True)  # the kernel counts its own ticks
+        for seconds, microseconds in map(struct.Struct("ll").unpack, longer_times):
+            assert (seconds, 500_000 <= microseconds < 510_000) == (1, True)
 
     def test_an_answer_that_comes_after_the_time_out_is_still_there(self, mute):
         link, board = mute

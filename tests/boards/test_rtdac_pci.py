@@ -172,6 +172,12 @@ class TestOpening:
         bench = new_pci_bench('board.verified_by=""', earlier={on: 255})
         assert ("ITS PWM OUTPUTS ARE NOT ZERO" in bench.board.identify().read_only_because) is warned
 
+    def test_each_output_that_is_on_is_planned_to_go_off(self, new_pci_bench):
+        bench = new_pci_bench(earlier={"pwm0_width": 200, "pwm1_width": 100})
+        with bench.board.reading() as board:
+            planned = {one.names: (one.now, one.planned) for one in board.first_write()}
+        assert (planned["pwm0_width",], planned["pwm1_width",]) == ((200, 0), (100, 0))
+
     def test_a_survey_has_the_registers_as_they_came(self, new_pci_bench):
         with new_pci_bench(earlier={"encoder_reset": 4}).board as board:
             survey = board.survey(["logic_version", "encoder_reset", "pwm1_prescaler"])

@@ -150,6 +150,10 @@ def test_a_cut_value_is_read_without_the_unnamed_bits_above_it():
     assert CutCodec((7, 5)).unpack_from(b"\xff\xff", 0) == (4095,)
 
 
+def test_the_named_bits_are_those_of_the_command_and_of_the_fields():
+    assert sent(("low", bits(0, 0, 3)), ("last", bits(6, 6, 1))).named_bits == (0xFF, 0b111, 0, 0, 0, 0, 0, 1 << 6)
+
+
 @pytest.mark.parametrize(("kind", "layout"), [(ValueKind.TEXT, words(0, 8, 4)), (ValueKind.HEX, words(0, 8, 2))])
 def test_text_needs_whole_characters(kind, layout):
     with pytest.raises(TableError, match=r"torn has 1[02] bits, must be a multiple of [84]"):

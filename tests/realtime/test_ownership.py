@@ -7,7 +7,7 @@ import pytest
 from inteco_abs.errors import BoardError, LinkError, ReadOnlyError, SessionError, UnsafeError
 from inteco_abs.realtime import ownership as holder
 from inteco_abs.realtime.memory import Field, Mailbox
-from inteco_abs.realtime.ownership import holding, post_failure, stopped
+from inteco_abs.realtime.ownership import holding, post_failure, run_role, stopped
 from inteco_abs.signals import Reason
 
 
@@ -106,6 +106,24 @@ def test_a_failure_is_stored_with_kind_text_and_notes(memory, error, kind, text)
     error.add_note("and then")
     post_failure(memory, Mailbox.FAILURE, error)
     assert memory.note(Mailbox.FAILURE) == {"kind": kind, "text": text, "notes": ["and then"]}
+
+
+def test_a_role_acts_on_the_memory_and_the_job_at_its_path(memory, job_of):
+    job_of(memory)
+    acted = []
+    assert run_role(str(memory.path), lambda *given: acted.append(given)) == 0
+    ((found, job),) = acted
+    assert (found.path, job.session_id) == (memory.path, "an-id")
+
+
+def test_an_error_ends_a_role_with_its_exit_code_and_is_left_for_the_supervisor(memory, job_of):
+    job_of(memory)
+
+    def act(_memory, _job):
+        raise UnsafeError("not confirmed")
+
+    assert run_role(str(memory.path), act) == UnsafeError.exit_code != 0
+    assert memory.note(Mailbox.FAILURE)["text"] == "not confirmed"
 
 
 def test_an_error_of_any_length_is_left(memory):

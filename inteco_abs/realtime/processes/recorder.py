@@ -154,8 +154,7 @@ class _Drain:
     def until_the_end(self) -> None:
         """Return when the loop has ended, its board is safe, and everything was written."""
         flushed = time.monotonic()
-        over = False
-        while not over:
+        while True:
             over = _loop_ended(self._memory)
             if over:
                 self._wait_for_the_rescue()
@@ -165,8 +164,9 @@ class _Drain:
             if time.monotonic() - flushed >= _FLUSH_S:
                 self._flush()
                 flushed = time.monotonic()
-            if not over:
-                time.sleep(_DRAIN_S)
+            if over:
+                return
+            time.sleep(_DRAIN_S)
 
     def _wait_for_the_rescue(self) -> None:
         """Wait until the board of a loop that died was taken over, for up to 20 s."""
