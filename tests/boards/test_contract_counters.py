@@ -4,8 +4,6 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-pytestmark = pytest.mark.untraced  # other tests reach these lines, too
-
 raw_counts = st.integers(-(2**31), 2**31 - 1)
 steps = st.integers(-(2**31) + 1, 2**31 - 1) | st.integers(-300, 300)
 

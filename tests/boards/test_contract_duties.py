@@ -7,8 +7,6 @@ from hypothesis import strategies as st
 from inteco_abs.errors import BoardError, LinkError
 from inteco_abs.signals import Command
 
-pytestmark = pytest.mark.untraced  # other tests reach these lines, too
-
 FULL = {"8-bit": 255, "12-bit": 4095}
 ROUNDING = 1e-9
 duties = st.floats(0.0, 1.0)

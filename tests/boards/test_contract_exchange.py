@@ -6,8 +6,6 @@ from hypothesis import strategies as st
 
 from inteco_abs.signals import BoardFlags
 
-pytestmark = pytest.mark.untraced  # other tests reach these lines, too
-
 
 class TestExchange:
     def test_the_first_sample_is_tick_zero_at_count_zero(self, new_bench):

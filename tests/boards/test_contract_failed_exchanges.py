@@ -1,11 +1,8 @@
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from inteco_abs.errors import LinkError
 from inteco_abs.signals import BoardFlags
-
-pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
 
 class TestFailedExchanges:

@@ -5,8 +5,6 @@ import pytest
 from inteco_abs.errors import BoardError, LinkError, ReadOnlyError, UnsafeError
 from inteco_abs.signals import Command
 
-pytestmark = pytest.mark.untraced  # other tests reach these lines, too
-
 
 def widths(bench, settings):
     return [settings[f"pwm{channel}_width"] for channel in range(bench.channels)]

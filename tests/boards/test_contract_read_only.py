@@ -2,8 +2,6 @@ import pytest
 
 from inteco_abs.errors import BoardError, ReadOnlyError
 
-pytestmark = pytest.mark.untraced  # other tests reach these lines, too
-
 UNTRUSTED = ("another logic version", "another application name", "no application name known", "an unsigned profile")
 
 

@@ -7,8 +7,6 @@ import pytest
 from inteco_abs.errors import BoardError, LinkError, UnsafeError
 from inteco_abs.signals import Command
 
-pytestmark = pytest.mark.untraced  # other tests reach these lines, too
-
 BOTH = (1.0, 0.6)
 OFF = (0.0, 0.0)
 

@@ -63,7 +63,6 @@ def commission(tmp_path, monkeypatch, capsys):
     return run
 
 
-@pytest.mark.untraced
 def test_all_commissioning_steps_then_a_stop_with_the_signed_draft(installed, whole_script):
     procedure = installed("--board", "sim:", "--virtual", "--draft", "lab.toml", "--json", lines=whole_script)
     assert procedure.returncode == 0, procedure.stderr
@@ -79,7 +78,6 @@ def test_all_commissioning_steps_then_a_stop_with_the_signed_draft(installed, wh
 
 
 @pytest.mark.long
-@pytest.mark.untraced
 def test_an_odd_rig_is_commissioned_and_stopped(commission, scripts, odd):
     settings = [part for one in (*odd, "board.drive_pwm=1", "board.brake_pwm=0") for part in ("--set", one)]
     lines = [*[""] * 3, *["", "", "yes", "10", "", "10"], *scripts["echo"], *scripts["motors"], *scripts["sign"]]
@@ -137,7 +135,6 @@ def test_a_wrong_phrase_fails_with_what_to_do(commission):
 
 
 @pytest.mark.long
-@pytest.mark.untraced
 def test_a_step_is_done_again_on_demand(commission, whole_script):
     commission("--virtual", lines=whole_script)
     run = commission("--virtual", "--redo", "4", lines=["", "", ""])
@@ -146,7 +143,6 @@ def test_a_step_is_done_again_on_demand(commission, whole_script):
 
 
 @pytest.mark.long
-@pytest.mark.untraced
 @pytest.mark.xdist_group("real time")
 def test_in_real_time_a_guarded_process_holds_the_mock(lab, installed, scripts):
     lab.done_until("echo")

@@ -12,8 +12,6 @@ from inteco_abs.commissioning.step import StepContext
 from inteco_abs.config import load_config
 from inteco_abs.errors import CommissioningError, LinkError, ReadOnlyError, UnsafeError
 
-pytestmark = pytest.mark.untraced  # other tests reach these lines, too
-
 READING = ["list", "header", "reads", "wheels"]
 
 

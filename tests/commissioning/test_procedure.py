@@ -28,7 +28,6 @@ def wiring(config):
 
 
 @pytest.mark.long
-@pytest.mark.untraced
 def test_a_vendors_rig_is_commissioned_from_end_to_end(lab, whole_script):
     lab.session(*whole_script).go()
     config = load_config(profile=str(lab.file))
@@ -42,7 +41,6 @@ def test_a_vendors_rig_is_commissioned_from_end_to_end(lab, whole_script):
 
 
 @pytest.mark.long
-@pytest.mark.untraced
 def test_an_odd_rig_is_found_out(lab, scripts, odd):
     lab.session(
         *[""] * 3,
@@ -64,14 +62,12 @@ def test_a_signed_draft_opens_the_board_for_output(lab):
         assert not board.identity.read_only_because
 
 
-@pytest.mark.untraced
 def test_the_unsigned_draft_opens_it_for_reading_only(lab):
     lab.done_until("sign")
     with lab.rig.open(load_config(profile=str(lab.file))) as board:
         assert "was not verified" in board.identity.read_only_because
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize(
     "step", [each if each in {"motors", "sign"} else pytest.param(each, marks=pytest.mark.long) for each in STEPS]
 )

@@ -22,7 +22,6 @@ def test_the_logic_is_written_in_hex(lab):
 
 
 @pytest.mark.long
-@pytest.mark.untraced
 def test_the_draft_can_be_used_after_every_write(lab, whole_script, monkeypatch):
     procedure = lab.session(*whole_script)
     seen = []
@@ -99,7 +98,6 @@ def test_a_draft_edited_into_nonsense_is_refused_with_its_key(lab):
         lab.session()
 
 
-@pytest.mark.untraced
 def test_results_are_kept_beside_the_draft(lab):
     lab.all_done()
     kept = json.loads((lab.file.parent / "lab.results.json").read_text())
@@ -116,7 +114,6 @@ def test_results_under_their_earlier_name_are_read(lab):
 
 
 @pytest.mark.long
-@pytest.mark.untraced
 def test_no_other_file_is_left(lab, whole_script):
     lab.session(*whole_script).go()
     assert sorted(file.name for file in lab.file.parent.iterdir()) == ["lab.results.json", "lab.toml"]

@@ -19,7 +19,6 @@ def at(lab, scripts):
     return prepare
 
 
-@pytest.mark.untraced
 def test_the_dead_zone_is_found(lab, at):
     at("motors").go(only="motors")
     found = lab.draft.results["motors"]
@@ -45,7 +44,6 @@ def test_a_board_that_does_not_take_the_mode_fails_the_echo_test(lab, at):
     assert lab.outcomes()["echo"] == "failed"
 
 
-@pytest.mark.untraced
 def test_an_emergency_switch_that_does_not_cut_is_noticed(lab, at):
     procedure = at("motors", switch=lambda device: lambda _on: device.power(on=True))
     with pytest.raises(CommissioningError, match="although the emergency switch is pressed"):
@@ -66,7 +64,6 @@ def test_swapped_pwm_channels_show_as_a_drive_that_does_nothing(lab, at):
     assert lab.rig.device.duties == (0.0, 0.0)
 
 
-@pytest.mark.untraced
 def test_a_brake_that_is_not_there_is_noticed_at_the_limit(lab, at):
     procedure = at("motors", "simulation.brake_pwm=3")
     with pytest.raises(CommissioningError, match=r"the brake did nothing up to 0\.70"):
@@ -74,7 +71,6 @@ def test_a_brake_that_is_not_there_is_noticed_at_the_limit(lab, at):
     assert lab.rig.device.duties == (0.0, 0.0)
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize(
     ("key", "name"), [("road_sign", "lower"), pytest.param("wheel_sign", "upper", marks=pytest.mark.long)]
 )
@@ -129,7 +125,6 @@ class TestVelocityRegister:
         return procedure
 
     @pytest.mark.long
-    @pytest.mark.untraced
     @pytest.mark.parametrize(("counts", "turns"), [(4096, ()), (2048, ("10",))])
     def test_it_agrees_with_turns_that_were_counted_well(self, lab, on_pci, counts, turns):
         on_pci(turns=turns, settings=[f"simulation.counts_per_turn={counts}"])
@@ -137,7 +132,6 @@ class TestVelocityRegister:
         assert lab.draft.results["motors"]["counts_per_turn_by_velocity"] == pytest.approx(counts, rel=0.1)
         assert not lab.operator.heard("velocity register")
 
-    @pytest.mark.untraced
     def test_it_contradicts_turns_that_were_miscounted(self, lab, on_pci):
         with pytest.raises(CommissioningError, match="counts per turn are not certain: --redo wheels"):
             on_pci("no", turns=("5",), settings=["simulation.counts_per_turn=2048"])
@@ -147,7 +141,6 @@ class TestVelocityRegister:
         assert lab.rig.device.duties == (0.0, 0.0)
 
     @pytest.mark.long
-    @pytest.mark.untraced
     def test_an_operator_certain_of_the_turns_continues(self, lab, on_pci):
         on_pci("yes", turns=("5",), settings=["simulation.counts_per_turn=2048"])
         assert lab.outcomes()["motors"] == "done"

@@ -44,7 +44,6 @@ def test_the_starting_file_runs_but_does_not_pass(name, tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.untraced
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("seed", [11, 12, 13])
 def test_all_cases_of_a_grading_for_solution_and_starting_file(name, seed, tmp_path):

@@ -9,8 +9,6 @@ from inteco_abs.mock_board.faults.kinds import KINDS, ON_THE_HOST, ON_THE_RIG, O
 from inteco_abs.signals import BoardFlags, Phase, Reason
 from tests.faults.stage import configured, ride
 
-pytestmark = pytest.mark.untraced  # other tests reach these lines, too
-
 R = Reason
 ONCE = {
     # one bad exchange: noticed as one that failed, and the stop goes on

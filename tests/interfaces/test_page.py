@@ -14,8 +14,6 @@ EXAMPLE = re.compile(
 EXAMPLES = {name: (source, printed) for name, source, printed in EXAMPLE.findall(PAGE)}
 LEARNING = "learn_to_brake.py"
 
-pytestmark = pytest.mark.untraced
-
 
 def printed_by(name, folder):
     (folder / name).write_text(EXAMPLES[name][0], encoding="utf-8")

@@ -63,7 +63,6 @@ def test_every_file_is_there_and_of_its_kind(written):
 
 
 @pytest.mark.long
-@pytest.mark.untraced
 def test_another_process_writes_the_same_bytes_and_leaves_other_files_alone(written, tmp_path):
     folder, _ = written
     (tmp_path / "paper").mkdir()

@@ -12,8 +12,6 @@ from inteco_abs.population_file import read_population
 from inteco_abs.rig import POPULATIONS, RigVariation, draw, is_described
 from inteco_abs.rig.population import WILD
 
-pytestmark = pytest.mark.untraced  # other tests reach these lines, too
-
 MANY = range(1000)
 
 

@@ -17,8 +17,6 @@ from inteco_abs.rig import (
     torque_margin,
 )
 
-pytestmark = pytest.mark.untraced  # other tests reach these lines, too
-
 SEEDS = st.integers(0, (1 << 64) - 1)
 MANY = range(1000)
 

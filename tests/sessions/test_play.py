@@ -268,7 +268,6 @@ def test_a_cut_session_is_played_up_to_its_end(verb, two_stops, tmp_path):
     assert "recover" in done.err
 
 
-@pytest.mark.untraced
 def test_keys_on_a_terminal_pause_seek_and_end(two_stops):
     command = [Path(sys.executable).with_name("inteco-abs"), "play", two_stops.path, "--speed", "4"]
     terminal = OnTerminal(command, columns=120, rows=34)

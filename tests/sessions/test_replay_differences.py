@@ -13,8 +13,6 @@ from inteco_abs.format.schema import Role
 from inteco_abs.sessions import TICK, FileWriter, read_session
 from inteco_abs.signals import Phase, Reason
 
-pytestmark = pytest.mark.untraced  # other tests reach these lines, too
-
 OUTPUTS = [column for column in TICK.columns if column.role is Role.OUTPUT]
 REAL = [column.name for column in OUTPUTS if column.kind.code == "d"]
 WHOLE = [column.name for column in OUTPUTS if column.kind.code != "d"]

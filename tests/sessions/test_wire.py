@@ -9,8 +9,6 @@ from hypothesis import strategies as st
 
 from inteco_abs.format import protobuf as wire
 
-pytestmark = pytest.mark.untraced  # other tests reach these lines, too
-
 NUMBERS = st.integers(1, (1 << 29) - 1)
 UNSIGNED = st.integers(0, (1 << 64) - 1)
 EDGES = [0, 1, 0x7F, 0x80, 0x3FFF, 0x4000, (1 << 32) - 1, 1 << 32, (1 << 63) - 1, 1 << 63, (1 << 64) - 1]

@@ -4,8 +4,6 @@ import json
 
 import pytest
 
-pytestmark = pytest.mark.untraced  # the same code runs traced elsewhere, and a run of the command is long
-
 QUICK = ("--set", "experiment.start_speed_rad_s=30", "--set", "experiment.hold_s=0.05")
 
 

@@ -5,8 +5,6 @@ from hypothesis import strategies as st
 
 from inteco_abs.views.decimation import decimate
 
-pytestmark = pytest.mark.untraced  # other tests reach these lines, too
-
 values = st.floats(-1e6, 1e6, width=32)
 courses = st.lists(values, min_size=1, max_size=200).map(np.array)
 

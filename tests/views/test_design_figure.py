@@ -9,8 +9,6 @@ from inteco_abs.gain_design.figure import figure_of_design
 from inteco_abs.rig import RigParameters
 from inteco_abs.views.figure import save_figure
 
-pytestmark = pytest.mark.untraced  # other tests reach these lines, too
-
 
 def report_of(*settings, uncertain=("mu=10%", "J1=5%")):
     box = stated_box(uncertain, RigParameters.named("mask"))

@@ -12,8 +12,6 @@ from inteco_abs.views.envelope import LABEL, envelope
 from inteco_abs.views.figure import FORMATS, check_figure, draw_stops, figure_of, highest_slip, slip_top, svg_of
 from inteco_abs.views.figure_options import STYLES, FigureOptions
 
-pytestmark = pytest.mark.untraced  # other tests reach these lines, too
-
 DUTY = "duty"
 MAGIC = {"png": b"\x89PNG\r\n\x1a\n", "svg": b"<?xml", "pdf": b"%PDF-", "pgf": b"%% In the preamble"}
 

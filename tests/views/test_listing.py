@@ -8,7 +8,7 @@ from inteco_abs.analysis import session_rows
 from inteco_abs.errors import ConfigError
 from inteco_abs.views.listing import write_listing
 
-pytestmark = [pytest.mark.xdist_group("browser"), pytest.mark.untraced]
+pytestmark = pytest.mark.xdist_group("browser")
 
 
 @pytest.fixture
