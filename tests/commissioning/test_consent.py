@@ -79,6 +79,7 @@ def test_unless_the_profile_sets_it_off(lab, scripts):
     assert {sent["pwm4_width"] for sent in lab.rig.settings_sent[1:]} == {0}
 
 
+@pytest.mark.long
 def test_commissioning_an_unknown_abs_logic_turns_thermal_protection_on(lab, whole_script):
     lab.session(*whole_script, profile="usb2_abs_candidate").go(only="list")
     lab.operator.answers[:] = ["", "no", *whole_script[2:]]  # the mock's version is the generic logic's

@@ -44,6 +44,7 @@ def test_a_board_that_does_not_take_the_mode_fails_the_echo_test(lab, at):
     assert lab.outcomes()["echo"] == "failed"
 
 
+@pytest.mark.long
 def test_an_emergency_switch_that_does_not_cut_is_noticed(lab, at):
     procedure = at("motors", switch=lambda device: lambda _on: device.power(on=True))
     with pytest.raises(CommissioningError, match="although the emergency switch is pressed"):
@@ -132,6 +133,7 @@ class TestVelocityRegister:
         assert lab.draft.results["motors"]["counts_per_turn_by_velocity"] == pytest.approx(counts, rel=0.1)
         assert not lab.operator.heard("velocity register")
 
+    @pytest.mark.long
     def test_it_contradicts_turns_that_were_miscounted(self, lab, on_pci):
         with pytest.raises(CommissioningError, match="counts per turn are not certain: --redo wheels"):
             on_pci("no", turns=("5",), settings=["simulation.counts_per_turn=2048"])

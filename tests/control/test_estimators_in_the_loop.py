@@ -8,7 +8,7 @@ WINDOW_2048 = ("estimator.name=moving-window", "encoders.counts_per_turn=2048")
 WINDOW_4096 = ("estimator.name=moving-window", "encoders.counts_per_turn=4096")
 SLOW_DIFFERENCE = ("estimator.name=euler", "encoders.counts_per_turn=4096", "loop.rate_hz=100")
 
-phases = pytest.mark.parametrize("phase", [0.0, 0.2, 0.45])
+phases = pytest.mark.parametrize("phase", [0.2, *(pytest.param(each, marks=pytest.mark.long) for each in (0.0, 0.45))])
 
 
 @phases

@@ -203,6 +203,7 @@ def test_other_rates_of_the_loop(rolling, rate_hz, error, held):
     assert rms(moments) < held
 
 
+@pytest.mark.long
 @pytest.mark.untraced
 def test_twice_the_counts_make_the_slip_better_known(rolling):
     errors = []
@@ -280,6 +281,7 @@ def test_rigs_beyond_belief_are_stopped_all_the_same(rolling, variation):
     assert course(run, law())[-1].road_speed < 3.0
 
 
+@pytest.mark.long
 @pytest.mark.untraced
 def test_a_rig_that_only_coasts_is_followed_to_its_end(rolling):
     run = rolling(HARD, 12.0, 500.0)

@@ -127,6 +127,7 @@ def test_stops_without_a_hold_follow_one_another_too(played):
     assert len(stops_of(moments)) == 3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_every_shipped_controller_makes_the_same_stop_again(experiment, controller):
     moments = experiment(*QUICK, "experiment.stops=2", f"controller.name={controller}").run()

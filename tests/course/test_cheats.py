@@ -137,6 +137,7 @@ def test_a_plant_of_a_guessed_seed_is_another_rig(graded):
     assert found.score < 30
 
 
+@pytest.mark.long
 def test_what_it_patches_is_its_own_copy_and_what_it_prints_is_no_grade(graded):
     found = graded(PATCHING + LAW.format(made="pass", updated="pass"), cases=1)
     assert not found.failure

@@ -8,13 +8,14 @@ SECOND_LINE = {"loop_waits_for_the_guardian", "supervisor_stops"}
 """Another process does it, too, only later."""
 
 
-@pytest.mark.parametrize("strikes", [0, 1, 2, pytest.param(3, marks=pytest.mark.long)])
+@pytest.mark.parametrize("strikes", [0, 1, *(pytest.param(each, marks=pytest.mark.long) for each in (2, 3))])
 def test_outputs_go_off_for_any_processes_killed_or_frozen_at_any_time(strikes, record_property):
     states, count, problem = explore(Rules(), strikes, BOUND)
     record_property("figures", f"processes of a run, {strikes} killed or frozen: {states} states, {count} steps")
     assert problem == ""
 
 
+@pytest.mark.long
 def test_bound_is_the_promised_quarter_of_a_second_and_no_larger():
     assert BOUND * POLL_NS == 250_000_000
     assert "stayed on" in explore(Rules(), 2, BOUND - 1)[2]

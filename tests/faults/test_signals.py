@@ -24,6 +24,7 @@ def strike(lives, record_property, names, share):
     assert not found.bad, "\n".join(found.bad)
 
 
+@pytest.mark.long
 def test_a_signal_at_any_line_leaves_outputs_off_and_the_session_whole(tmp_path, record_property):
     strike(Lives(tmp_path), record_property, SIGNALS, 0.004)
 

@@ -16,6 +16,7 @@ def search(record_property, depth):
     assert set(met) == {(phase, event) for phase in set(Phase) - {Phase.UNKNOWN} for event in EVENTS}
 
 
+@pytest.mark.long
 def test_any_events_within_three_ticks_of_any_moment_keep_the_invariants(record_property):
     search(record_property, 3)
 

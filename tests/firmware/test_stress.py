@@ -30,6 +30,7 @@ def assert_busy(count, seed):
     assert min(found.values()) > count // 4000, found
 
 
+@pytest.mark.long
 def test_a_million_bytes():
     assert_busy(1_000_000, 1)
 

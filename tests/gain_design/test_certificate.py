@@ -75,11 +75,14 @@ def rms(**brake):
     return float(np.sqrt(np.mean(slip_errors(**brake) ** 2)))
 
 
-@pytest.mark.parametrize(("name", "side"), [("gain", 1), ("later_s", 1), ("lag_s", 0)])
+@pytest.mark.parametrize(
+    ("name", "side"), [pytest.param("gain", 1, marks=pytest.mark.long), ("later_s", 1), ("lag_s", 0)]
+)
 def test_a_stop_holds_what_it_is_certified_for(name, side):
     assert rms(**{name: borne()[name][side]}) < HELD
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "side", "times"), [("gain", 1, 1.3), ("later_s", 1, 2.0), ("lag_s", 0, 0.7)])
 def test_a_stop_not_far_beyond_swings(name, side, times):
     assert rms(**{name: times * borne()[name][side]}) > SWINGS

@@ -124,6 +124,7 @@ def test_the_same_seed_is_the_same_stop_and_another_seed_another_rig(population)
     assert population == "nominal" or not np.array_equal(first[0], other[0])
 
 
+@pytest.mark.long
 @compiles
 def test_an_estimator_that_is_a_class_runs_in_python_with_the_same_bits(monkeypatch):
     function = BrakingVectorEnv(2)

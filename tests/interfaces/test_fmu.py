@@ -104,6 +104,7 @@ def same_bits(found, expected):
     return np.array(found, dtype=float).tobytes() == np.array(expected, dtype=float).tobytes()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("fmi", FMI_VERSIONS)
 def test_fmpys_validation_finds_nothing(exported, fmi):
     assert validate_fmu(str(exported[fmi])) == []

@@ -21,6 +21,7 @@ def full_brake_slips(parameters, **changed):
     return slips
 
 
+@pytest.mark.long
 def test_coast_down_takes_as_long_as_the_friction_of_both_wheels_predicts(parameters):
     k = parameters
     plant = Plant(k, 180.0 * ROLLING, 180.0)

@@ -69,6 +69,7 @@ def test_another_kind_is_passed_over(folder, setting):
     assert before(folder.stop()) == "1.mcap"
 
 
+@pytest.mark.long
 def test_other_folders_and_what_is_not_a_whole_session_are_passed_over(folder):
     folder.stop()
     folder.stop(folder="elsewhere")
@@ -80,12 +81,14 @@ def test_other_folders_and_what_is_not_a_whole_session_are_passed_over(folder):
     assert before(folder.stop()) == "1.mcap"
 
 
+@pytest.mark.long
 def test_a_run_whose_board_was_made_to_fail_is_passed_over(folder):
     folder.stop()
     assert folder.stop(faults=["brake-weak=0.9@brake"])["outcome"] == "completed"
     assert before(folder.stop()) == "1.mcap"
 
 
+@pytest.mark.long
 def test_what_did_not_complete_is_compared_with_nothing(folder):
     first = folder.stop()
     assert before(folder.stop()) == "1.mcap"

@@ -42,6 +42,7 @@ def power_lost_at(ends, trial, container) -> None:
     assert trial.lossless == [end for end in ends if end >= data_end]
 
 
+@pytest.mark.long
 def test_power_lost_between_any_two_records_or_in_the_head_of_one(trial, container):
     records = container.split(trial.data)
     between = [at for record in records for at in (record.at, record.end)]

@@ -103,6 +103,7 @@ def disturbed(session, seed):
     return session.with_rows(ticks)
 
 
+@pytest.mark.long
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_a_replay_of_any_inputs_has_the_bits_of_python(two_stops, seed):
@@ -192,7 +193,13 @@ def law_of(law, *, a_function=True):
 
 
 @pytest.mark.parametrize(
-    ("law", "a_function"), [(with_a_power, True), (dividing, True), (uncompilable, True), (without, False)]
+    ("law", "a_function"),
+    [
+        pytest.param(with_a_power, True, marks=pytest.mark.long),
+        (dividing, True),
+        (uncompilable, True),
+        (without, False),
+    ],
 )
 def test_a_users_controller_has_the_same_replay(run, law, a_function):
     controllers = law_of(law, a_function=a_function)

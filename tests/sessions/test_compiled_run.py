@@ -78,7 +78,10 @@ def assert_same(both, *settings, compiled=True, **options):
             marks=pytest.mark.long,
         ),
         ('simulation.rig="own:1"', f"simulation.population={json.dumps(DEFECTIVE)}"),
-        ("simulation.wheel_sign=-1", "board.wheel_sign=-1", 'board.pwm_mode="8-bit"', "loop.rate_hz=1000.0"),
+        pytest.param(
+            ("simulation.wheel_sign=-1", "board.wheel_sign=-1", 'board.pwm_mode="8-bit"', "loop.rate_hz=1000.0"),
+            marks=pytest.mark.long,
+        ),
     ],
     ids=["default", "two stops", "gains that have changed", "defects and roads", "other wiring"],
 )

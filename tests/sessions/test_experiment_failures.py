@@ -303,6 +303,7 @@ class TestLongerThanItsMemory:
 
         return disturb
 
+    @pytest.mark.long
     def test_the_second_file_has_what_the_first_had_though_that_has_lost_its_name(
         self, disturbed, undisturbed, tmp_path
     ):

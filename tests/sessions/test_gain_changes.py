@@ -334,6 +334,7 @@ def test_a_change_that_can_never_come_is_refused(small, change, problem):
         small(change)
 
 
+@pytest.mark.long
 def test_a_change_whose_time_does_not_come_is_named_at_the_end(small, verb, tmp_path):
     made = small("Mk=5@brake+#5", "Mk=6@60s", "Mk=5@brake+9s")
     assert made.stop.not_made == ("Mk=6@60s", "Mk=5@brake+9s")

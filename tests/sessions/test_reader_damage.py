@@ -166,6 +166,7 @@ def test_every_bit_of_every_record_head_in_the_data(reading, container, tiny):
     assert not variants.incomplete
 
 
+@pytest.mark.long
 @pytest.mark.untraced
 def test_the_index_after_the_data_is_not_trusted(reading, container, tiny):
     variants = reading(tiny)

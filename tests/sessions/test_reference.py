@@ -107,7 +107,8 @@ def test_a_formula_is_that_of_time_and_estimated_speed(run_at, tmp_path):
     assert_replays(made.session)
 
 
-@pytest.mark.parametrize("start", [pytest.param(0.08, marks=pytest.mark.long), 0.4])
+@pytest.mark.long
+@pytest.mark.parametrize("start", [0.08, 0.4])
 def test_a_search_ends_near_the_peak_of_the_road_and_replays(run_at, tmp_path, start):
     """Wet cobblestone: 0.4*(1 - exp(-33.7*slip)) - 0.12*slip has its peak at 0.14, and 99 % of it in 0.10 to 0.20."""
     cobbles = 'base = "hard"\n[rig]\nroad = "wet-cobblestone"\nadhesion_scale = 1.0\n'

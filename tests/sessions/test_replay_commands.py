@@ -129,6 +129,7 @@ def test_what_if_prints_requests_and_log_before_simulated_results(command, quick
     assert rows[0][2] == f"{report['simulation']['log']['stop_time_s']:.3g}"
 
 
+@pytest.mark.long
 def test_what_if_draws(command, quick, tmp_path):
     arguments = ("--sweep", "controller.gains.Mk=2,20", "--closed-loop", "--figure", "drawn.svg")
     code, _, said = command("what-if", quick.path, *arguments)

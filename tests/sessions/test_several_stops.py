@@ -79,7 +79,7 @@ def test_the_card_counts_the_stops(run, stops):
     assert card["stops"] == stops
 
 
-@pytest.mark.parametrize("rows", [1, 10, 997, 4096])
+@pytest.mark.parametrize("rows", [10, 4096, *(pytest.param(each, marks=pytest.mark.long) for each in (1, 997))])
 def test_the_card_is_the_same_in_however_many_pieces_the_run_came(several, rows):
     session, card = several.session, RunningCard(several.config)
     for ticks, truth in in_step([(session.ticks, session.truth)], rows):

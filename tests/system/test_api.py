@@ -253,6 +253,7 @@ def test_a_notebook_shows_a_result_once(stop, monkeypatch):
     assert "Mk=3" in stop.what_if(gains={"Mk": 3})._repr_html_()
 
 
+@pytest.mark.long
 def test_other_gains_are_asked_on_the_log(stop, main_here):
     found = stop.what_if(gains={"Mk": [1, np.float64(8.0)]}, closed_loop=True)
     names = [each["name"] for each in found.report()["alternatives"]]

@@ -268,15 +268,16 @@ def undying():
     folder.rmdir()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "victims",
     [
         (),
-        pytest.param(("guardian", "supervisor"), marks=pytest.mark.long),
-        pytest.param(("guardian",), marks=pytest.mark.long),
-        pytest.param(("supervisor",), marks=pytest.mark.long),
-        pytest.param(("guardian", "recorder"), marks=pytest.mark.long),
-        pytest.param(("supervisor", "recorder"), marks=pytest.mark.long),
+        ("guardian", "supervisor"),
+        ("guardian",),
+        ("supervisor",),
+        ("guardian", "recorder"),
+        ("supervisor", "recorder"),
     ],
     ids=lambda victims: "+".join(victims) or "none",
 )

@@ -110,6 +110,7 @@ def test_a_run_whose_decisions_do_not_replay_says_so(inteco_abs, tmp_path, name)
     assert "stop-1.mcap: the decisions do not replay: " in series.stderr
 
 
+@pytest.mark.long
 def test_a_run_names_a_file_that_is_read_too_late_to_be_kept(inteco_abs, tmp_path):
     (tmp_path / "law.py").write_text(UNSTEADY)
     (tmp_path / "duty.txt").write_text("0.6")

@@ -60,6 +60,7 @@ def test_all_files_of_a_call_get_the_same_rigs_and_a_line_in_the_table(main_here
     assert found["grades"][0]["score"] == int(rows[0]["score"])
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("few")
 def test_the_table_says_the_seed_that_repeats_it(main_here):
     first = main_here("grade", "faults", "silent.py", check=4).stdout

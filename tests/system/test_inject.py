@@ -96,7 +96,9 @@ def test_virtual_time_has_no_process_to_kill(main_here, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("step_s", [3600, -3600, 1, -1000000000])
+@pytest.mark.parametrize(
+    "step_s", [3600, *(pytest.param(each, marks=pytest.mark.long) for each in (-3600, 1, -1000000000))]
+)
 def test_a_wall_clock_that_steps_changes_no_tick(main_here, tmp_path, step_s):
     seed = ("--virtual", *QUICK, "--seed", "1")
     before_ns = time.time_ns()

@@ -83,12 +83,14 @@ def test_in_virtual_time_too_unless_switched_off(run, options, shown):
     assert "COMPLETED" in program.written
 
 
+@pytest.mark.long
 def test_a_quiet_run_without_problems_prints_nothing(run):
     program = run("--virtual", "--quiet")
     assert program.end() == 0
     assert not program.written
 
 
+@pytest.mark.long
 def test_a_small_terminal_gets_a_line(run):
     program = run("--virtual", columns=70, rows=20)
     assert program.end() == 0

@@ -6,6 +6,7 @@ import pytest
 pytestmark = [pytest.mark.xdist_group("real time"), pytest.mark.untraced]
 
 
+@pytest.mark.long
 def test_an_ordinary_user_runs_in_real_time_and_sees_what_was_refused(
     command_path, inteco_abs, untraced, tmp_path, without_privileges
 ):

@@ -142,6 +142,7 @@ def test_a_replay_reports_a_changed_package_or_source(inteco_abs, site, recorded
     assert "the controller's source differs from the session's" in again.stderr
 
 
+@pytest.mark.long
 def test_a_replay_with_a_broken_package_says_why(inteco_abs, site, recorded):
     site.install(threshold_law="import no_such_module\n")
     again = inteco_abs("replay", recorded[0], check=2, environment=site.environment)

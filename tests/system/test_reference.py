@@ -37,6 +37,7 @@ def every_command(group=cli, above=()):
             yield from every_command(command, (*above, name))
 
 
+@pytest.mark.long
 @pytest.mark.untraced
 def test_what_a_tutorial_shows_is_what_the_commands_print_today():
     # the two other pages take three times as long; their helps and messages are compared below

@@ -56,6 +56,7 @@ def test_the_papers_euler_speed_degrades_at_low_speed(card, seed):
     assert euler["stop_time_s"] > 1.3 * window["stop_time_s"]
 
 
+@pytest.mark.long
 def test_the_brake_limit_of_the_vendors_driver_delays_reaching(card):
     limited = card("--set", "guard.brake_limit=0.7", "--set", "board.pwm_mode=12-bit", "--set", "board.pwm_prescaler=2")
     # closed-loop table with lag and duty at most 0.7: reached at 0.833 s, stop in 1.416 s

@@ -191,15 +191,9 @@ class Law:
 """Waits when two units are done."""
 
 
-@pytest.mark.parametrize(
-    ("jobs", "number", "code"),
-    [
-        (2, signal.SIGINT, 130),
-        pytest.param(1, signal.SIGINT, 130, marks=pytest.mark.long),
-        pytest.param(2, signal.SIGTERM, 143, marks=pytest.mark.long),
-        pytest.param(1, signal.SIGTERM, 143, marks=pytest.mark.long),
-    ],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("jobs", [1, 2])
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_signal_ends_busy_workers_and_the_same_command_continues(
     inteco_abs, command_path, tmp_path, jobs, number, code
 ):

@@ -181,6 +181,7 @@ def test_paper_gets_the_figure_in_place_of_the_plots(browser, page):
         browser.command("Emulation.setEmulatedMedia", media="")
 
 
+@pytest.mark.long
 def test_comparison_draws_odd_sessions_and_runs_none_of_their_code(
     browser, session, others, faulty, with_facts, tmp_path
 ):
