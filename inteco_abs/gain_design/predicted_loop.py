@@ -243,12 +243,11 @@ class _Tick(NamedTuple):
     demand_by_commands: Floats
 
 
-def _linearised(config: RigConfig, rig: RigParameters, observer: Observer, law: Any, speed: float) -> _Tick:
-    """One tick about the reference slip; commands are torques in N m, the newest first."""
-    slip, tuning = config.controller.reference_slip, observer.k.ekf.tuning
-    wheel_speed = (1.0 - slip) * speed * rig.r2 / rig.r1
-    held, _, _ = WheelDynamics(rig).torque(slip, 0.0, wheel_speed, speed, adhesion(slip, rig))
-    dead_time_s, period_s = tuning.dead_time_s, config.period_ns * 1e-9
+def _linearised(config: RigConfig, observer: Observer, law: Any, balance: Floats) -> _Tick:
+    """One tick about a balance; commands are torques in N m, the newest first."""
+    wheel_speed, speed, held = balance.tolist()
+    tuning, period_s = observer.k.ekf.tuning, config.period_ns * 1e-9
+    dead_time_s = tuning.dead_time_s
     taps = round(dead_time_s / period_s) + 3
     base = deepcopy(observer)
     base.wheel.cosine = base.wheel.sine = base.wheel.cosine_2 = base.wheel.sine_2 = 0.0
@@ -302,7 +301,7 @@ def _linearised(config: RigConfig, rig: RigParameters, observer: Observer, law: 
     return _Tick(*states, *demands)
 
 
-def _wheels(rig: RigParameters, slip: float, speed: float, held: float, period_s: float) -> tuple[Floats, Floats]:
+def _wheels(rig: RigParameters, balance: Floats, period_s: float) -> tuple[Floats, Floats]:
     """A period of angles and speeds of wheel and road, and what a torque in N m does to them in it."""
     dynamics = WheelDynamics(rig)
 
@@ -310,12 +309,11 @@ def _wheels(rig: RigParameters, slip: float, speed: float, held: float, period_s
         mu = adhesion(1.0 - rig.r1 * x1 / (rig.r2 * x2), rig)
         return np.array(dynamics.accelerations(x1, x2, torque, mu)[:2])
 
-    at = np.array([(1.0 - slip) * speed * rig.r2 / rig.r1, speed, held])
     rates = np.zeros((5, 5))
     rates[0, 1] = rates[2, 3] = 1.0
     for column, i, step in ((1, 0, 1e-4), (3, 1, 1e-4), (4, 2, 1e-4)):
         off = np.eye(3)[i] * step
-        rates[[1, 3], column] = (accelerations(*(at + off)) - accelerations(*(at - off))) / (2.0 * step)
+        rates[[1, 3], column] = (accelerations(*(balance + off)) - accelerations(*(balance - off))) / (2.0 * step)
     whole, term = np.eye(5), np.eye(5)
     for i in range(1, 12):  # exp(rates*T), of a short T
         term = term @ rates * (period_s / i)
@@ -328,10 +326,11 @@ def _loop(config: RigConfig, rig: RigParameters, observer: Observer, speed: floa
     if not isinstance(law, PredictiveReaching):
         raise ConfigError.of("controller.name", "must be predictive-reaching")
     slip, tuning, period_s = config.controller.reference_slip, observer.k.ekf.tuning, config.period_ns * 1e-9
-    tick = _linearised(config, rig, observer, law, speed)
     wheel_speed = (1.0 - slip) * speed * rig.r2 / rig.r1
     held, _, _ = WheelDynamics(rig).torque(slip, 0.0, wheel_speed, speed, adhesion(slip, rig))
-    moved, by_torque = _wheels(rig, slip, speed, held, period_s)
+    balance = np.array([wheel_speed, speed, held])  # at the reference slip: rad/s, rad/s, N m
+    tick = _linearised(config, observer, law, balance)
+    moved, by_torque = _wheels(rig, balance, period_s)
     late = round(tuning.dead_time_s / period_s)
     left = math.exp(-period_s / tuning.lag_s)
     w = np.geomspace(_DRIFT_PER_S, _HIGHEST * math.pi / period_s, _FREQUENCIES)
