@@ -6,6 +6,8 @@ import signal
 import sys
 import time
 from collections.abc import Callable
+from importlib.machinery import SourceFileLoader
+from importlib.util import module_from_spec, spec_from_loader
 
 if sys.platform != "win32":
     import fcntl
@@ -119,6 +121,20 @@ def pytest_runtest_protocol(item):
             return (yield)
         finally:
             sys.settrace(tracer)
+
+
+@pytest.fixture(scope="session")
+def tool():
+    """Imports a program of tools/, which has no suffix, by its name."""
+
+    def load(name: str):
+        loader = SourceFileLoader(name, str(Path(__file__).parents[1] / "tools" / name))
+        module = module_from_spec(spec_from_loader(name, loader))
+        sys.modules[name] = module
+        loader.exec_module(module)
+        return module
+
+    return load
 
 
 @pytest.fixture

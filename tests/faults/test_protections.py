@@ -1,10 +1,5 @@
 """Each protection, taken out, lets the campaign find what it protects from: no row of the table passes by itself."""
 
-import importlib.machinery
-import importlib.util
-import sys
-from pathlib import Path
-
 import pytest
 
 from inteco_abs.boards.board import Board
@@ -17,18 +12,9 @@ from inteco_abs.signals import Reason
 pytestmark = pytest.mark.untraced
 
 
-def load_campaign():
-    path = Path(__file__).parents[2] / "tools" / "fault_campaign"
-    loader = importlib.machinery.SourceFileLoader("fault_campaign", str(path))
-    module = importlib.util.module_from_spec(importlib.util.spec_from_loader(loader.name, loader))
-    sys.modules[loader.name] = module
-    loader.exec_module(module)
-    return module
-
-
 @pytest.fixture(scope="module")
-def campaign():
-    return load_campaign()
+def campaign(tool):
+    return tool("fault_campaign")
 
 
 def no_reason(*_):

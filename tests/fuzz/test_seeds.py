@@ -1,9 +1,6 @@
 """What fuzzing begins with, and what it once found, goes through each target without a complaint."""
 
-import importlib.machinery
-import importlib.util
 import os
-import sys
 from pathlib import Path
 
 import pytest
@@ -13,12 +10,8 @@ SEEDS = [file for file in sorted(HERE.glob("*/*")) if file.parent.name != "__pyc
 
 
 @pytest.fixture(scope="module")
-def fuzz():
-    loader = importlib.machinery.SourceFileLoader("fuzz", str(HERE.parents[1] / "tools" / "fuzz"))
-    module = importlib.util.module_from_spec(importlib.util.spec_from_loader(loader.name, loader))
-    sys.modules[loader.name] = module
-    loader.exec_module(module)
-    return module
+def fuzz(tool):
+    return tool("fuzz")
 
 
 @pytest.mark.parametrize("seed", SEEDS, ids=lambda file: f"{file.parent.name}-{file.name}")

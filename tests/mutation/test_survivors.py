@@ -1,22 +1,13 @@
 """The explanations of surviving mutants, which tools/mutate believes."""
 
-import importlib.machinery
-import importlib.util
-import sys
 from collections import Counter
-from pathlib import Path
 
 import pytest
 
 
 @pytest.fixture(scope="module")
-def mutate():
-    path = Path(__file__).parents[2] / "tools" / "mutate"
-    loader = importlib.machinery.SourceFileLoader("mutate", str(path))
-    module = importlib.util.module_from_spec(importlib.util.spec_from_loader(loader.name, loader))
-    sys.modules[loader.name] = module
-    loader.exec_module(module)
-    return module
+def mutate(tool):
+    return tool("mutate")
 
 
 def test_every_survivor_that_is_explained_is_still_a_change_of_a_line(mutate):
