@@ -33,14 +33,14 @@ class Condition(NamedTuple):
     """Names that it compares."""
 
 
-def parse_condition(text: str, option: str = "--where") -> Condition:
+def parse_condition(text: str) -> Condition:
     """The condition that `text` states. Raises ConfigError with where it is wrong."""
-    return _Parser(text, option).whole()
+    return _Parser(text).whole()
 
 
 class _Parser:
-    def __init__(self, text: str, option: str) -> None:
-        self._text, self._option = text, option
+    def __init__(self, text: str) -> None:
+        self._text = text
         self._at = self._depth = 0
         self._parameters: list[str | float] = []
         self._names: list[str] = []
@@ -120,4 +120,4 @@ class _Parser:
 
     def _wrong(self, problem: str) -> ConfigError:
         here = f"behind {self._text[: self._at].strip()!r}" if self._at else "at its beginning"
-        return ConfigError.of(self._option, f"{self._text!r}: {problem} {here}; {_EXAMPLE}")
+        return ConfigError.of("--where", f"{self._text!r}: {problem} {here}; {_EXAMPLE}")

@@ -33,15 +33,13 @@ def length(line: Line) -> int:
     return sum(len(text) for text, _ in line)
 
 
-def fitted(line: Line, width: int, mark: str = "") -> Line:
-    """The line, cut to `width` cells; a cut line ends in `mark`."""
-    if length(line) <= width:
-        return line
-    left, kept = max(0, width - len(mark)), Line()
+def fitted(line: Line, width: int) -> Line:
+    """The line, cut to `width` cells."""
+    left, kept = max(0, width), Line()
     for text, style in line:
         kept.append((text[:left], style))
         left -= len(kept[-1][0])
-    return [*kept, (mark, "")]
+    return kept
 
 
 def padded(line: Line, width: int) -> Line:

@@ -78,14 +78,14 @@ class VideoOptions:
         return 1.0 / fps if suffix == ".mp4" else max(round(1.0 / fps / _GIF_TICK_S), 2) * _GIF_TICK_S
 
 
-def check_video(path: Path, option: str = "--out") -> None:
-    """Check that a new video can be written to `path`, given with `option`.
+def check_video(path: Path) -> None:
+    """Check that a new video can be written to `path`.
 
     Raises ConfigError, SessionError if the folder cannot be written to, or AbsError without what the format needs.
     """
     if path.suffix not in FORMATS:
-        raise ConfigError.of(option, f"{path}: must end in {' or '.join(FORMATS)}")
-    check_output(path, option)
+        raise ConfigError.of("--out", f"{path}: must end in {' or '.join(FORMATS)}")
+    check_output(path, "--out")
     require_matplotlib()
     if path.suffix == ".mp4" and importlib.util.find_spec("av") is None:
         raise AbsError("MP4 needs PyAV: pip install 'inteco-abs[video]'; or write a .gif")

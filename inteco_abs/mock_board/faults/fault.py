@@ -78,22 +78,20 @@ class Fault:
         return f"{self.name}{value}@{self.event.value}+{_text(self.after)}{lasts}"
 
 
-def parse_faults(texts: Iterable[str], option: str = "--inject") -> tuple[Fault, ...]:
-    """Parse faults; raises ConfigError with every mistake, naming `option`."""
+def parse_faults(texts: Iterable[str]) -> tuple[Fault, ...]:
+    """Parse faults; raises ConfigError with every mistake."""
     faults, mistakes = [], []
     for text in texts:
         try:
             faults.append(parse_fault(text))
         except ValueError as error:
-            mistakes.append(ConfigIssue(option, f"{text[:80]!r}: {error}"))
+            mistakes.append(ConfigIssue("--inject", f"{text[:80]!r}: {error}"))
     if mistakes:
         raise ConfigError(mistakes)
     return tuple(faults)
 
 
-def require_possible(
-    faults: Iterable[Fault], board: str, impossible: Mapping[str, str] | None = None, option: str = "--inject"
-) -> None:
+def require_possible(faults: Iterable[Fault], board: str, impossible: Mapping[str, str] | None = None) -> None:
     """Raise ConfigError for faults that a board of this `board.kind` cannot have.
 
     `impossible` gives the reason for each further impossible kind.
@@ -105,7 +103,7 @@ def require_possible(
     if not mock.has_alarms:
         why["alarm"] = "no alarm flags are known of such a board, only of a PCI board: --set profile=sim_pci"
     why |= impossible or {}
-    mistakes = [ConfigIssue(option, f"{fault.name}: {why[fault.name]}") for fault in faults if fault.name in why]
+    mistakes = [ConfigIssue("--inject", f"{fault.name}: {why[fault.name]}") for fault in faults if fault.name in why]
     if mistakes:
         raise ConfigError(mistakes)
 
