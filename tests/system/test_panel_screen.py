@@ -36,6 +36,7 @@ class Stage:
         self.side = ManualClient(memory)
         self.panel = Panel(load_config(settings=settings, profile=profile), outputs=outputs)
         self.app = PanelApp(self.panel, self.side, "sim:")
+        self.shown = []
         self._seen_s = time.monotonic()
 
     def tick(self, counts=(0, 0), speeds=(0.0, 0.0), duties=(0.0, 0.0), reason=Reason.NONE, flags=BoardFlags.NONE):
@@ -46,12 +47,21 @@ class Stage:
             )
         )  # fmt: skip
 
-    def play(self, scene, size=(80, 24)):
-        """Run the app while `scene(pilot)` plays; what it ended with."""
+    def play(self, *steps, size=(80, 24)):
+        """Run the app; each step is a key, or an `async` function of textual's pilot. Return what it ended with.
+
+        The text on the screen before each step, and in the end if it is still open, is left in `shown`.
+        """
 
         async def run():
             async with self.app.run_test(size=size) as pilot:
-                await scene(pilot)
+                for step in steps:
+                    await self.look(pilot)
+                    self.shown.append(self.text())
+                    await (pilot.press(step) if isinstance(step, str) else step(pilot))
+                if self.app.return_value is None:
+                    await self.look(pilot)
+                    self.shown.append(self.text())
             return self.app.return_value
 
         return asyncio.run(run())
@@ -121,11 +131,7 @@ def test_any_other_key_takes_the_power_away(stage, key):
 
 def test_a_look_that_comes_after_the_screen_has_gone_shows_nothing(stage):
     scene = stage()
-
-    async def play(pilot):
-        await pilot.press("q")
-
-    assert scene.play(play) == 0
+    assert scene.play("q") == 0
     scene.tick(counts=(5, 5))
     scene.app.look()
 
@@ -159,49 +165,28 @@ def test_a_read_only_panel_ignores_the_space_bar(stage):
 def test_wheels_outputs_and_board_are_on_the_screen(stage, size):
     scene = stage("board.pwm_prescaler=44", 'board.verified_by="a lab"')
     scene.tick((2048, -1024), (10.0, 20.0), (0.2, 0.0))
-    shown = []
-
-    async def play(pilot):
-        await pilot.press("pageup", "pageup")
-        await scene.look(pilot)
-        shown.append(scene.text())
-
-    scene.play(play, size)
-    (text,) = shown
+    scene.play("pageup", "pageup", size=size)
     for wanted in (
         "POWER IS ON", "only the emergency switch", "2048", "-1024", "1.000", "-0.500", "10.0", "20.0", "191", "20 %",
         "logic 0x0103", "signed by a lab", "unknown: drive_pwm", "drive: PWM 0, 8-bit, prescaler 44",
         "prescaler 9, not the profile's 8-bit, 44", "supply 11.9 V", "alarm_bit0 1 (unknown)", "leave",
     ):  # fmt: skip
-        assert wanted in text
+        assert wanted in scene.shown[-1]
 
 
 def test_outputs_that_an_earlier_program_left_on_are_reported(stage):
     scene = stage(outputs=False, because="it only watches. ITS PWM OUTPUTS ARE NOT ZERO. MOTOR POWER MAY STILL BE ON")
-    shown = []
-
-    async def play(pilot):
-        await scene.look(pilot)
-        shown.append(scene.text())
-
-    scene.play(play)
-    assert "OUTPUTS ARE NOT ZERO" in shown[0]
-    assert "WATCHING" in shown[0]
+    scene.play()
+    assert "OUTPUTS ARE NOT ZERO" in scene.shown[0]
+    assert "WATCHING" in scene.shown[0]
 
 
 def test_a_trip_of_the_guard_is_reported_and_is_a_safety_stop(stage):
     scene = stage()
     scene.tick(reason=Reason.OVER_SPEED)
-    shown = []
-
-    async def play(pilot):
-        await scene.look(pilot)
-        shown.append(scene.text())
-        await pilot.press("q")
-
-    assert scene.play(play) == 5
-    assert "SWITCHED OFF: a wheel turned faster" in shown[0]
-    assert "r: arm again" in shown[0]
+    assert scene.play("q") == 5
+    assert "SWITCHED OFF: a wheel turned faster" in scene.shown[0]
+    assert "r: arm again" in scene.shown[0]
 
 
 def test_r_and_then_y_end_it_to_begin_again(stage):
@@ -209,60 +194,34 @@ def test_r_and_then_y_end_it_to_begin_again(stage):
 
     scene = stage()
     scene.tick(reason=Reason.OVER_SPEED)
-    shown = []
-
-    async def play(pilot):
-        await scene.look(pilot)
-        await pilot.press("r")
-        shown.append(scene.text())
-        await scene.look(pilot)
-        await pilot.press("y")
-
-    assert scene.play(play) == ARM_AGAIN
+    assert scene.play("r", "y") == ARM_AGAIN
     assert scene.words[Field.KEY_SEEN_NS] == -HELD_NS
     for wanted in ("arm again?", "a wheel turned faster", "identified", "press y"):
-        assert wanted in shown[0]
+        assert wanted in scene.shown[1]
 
 
 @pytest.mark.parametrize("key", ["space", "enter", "r", "escape", "q"])
 def test_any_other_answer_changes_nothing(stage, key):
     scene = stage()
     scene.tick(reason=Reason.OVER_SPEED)
-    shown = []
-
-    async def play(pilot):
-        await scene.look(pilot)
-        await pilot.press("r", key)
-        await scene.look(pilot)
-        shown.append(scene.text())
-        await pilot.press("q")
-
-    assert scene.play(play) == 5
-    assert "SWITCHED OFF" in shown[0]
-    assert "arm again?" not in shown[0]
+    assert scene.play("r", key, "q") == 5
+    assert "SWITCHED OFF" in scene.shown[2]
+    assert "arm again?" not in scene.shown[2]
 
 
 @pytest.mark.parametrize("outputs", [True, False])
 def test_while_nothing_was_taken_away_there_is_nothing_to_arm_again(stage, outputs):
-    scene = stage(outputs=outputs)
-
-    async def play(pilot):
-        await pilot.press("r", "y", "q")
-
-    assert scene.play(play) == 0
+    assert stage(outputs=outputs).play("r", "y", "q") == 0
 
 
 def test_it_leaves_an_open_question_when_no_process_holds_the_board_any_more(stage):
     scene = stage()
     scene.tick(reason=Reason.OVER_SPEED)
 
-    async def play(pilot):
-        await scene.look(pilot)
-        await pilot.press("r")
+    async def gone(_pilot):
         scene.words[Field.LOOP_PID] = 0
-        await scene.look(pilot)
 
-    assert scene.play(play) == 5
+    assert scene.play("r", gone) == 5
 
 
 @pytest.mark.parametrize(
@@ -276,31 +235,21 @@ def test_it_leaves_an_open_question_when_no_process_holds_the_board_any_more(sta
 def test_it_leaves_when_no_process_holds_the_board_any_more(stage, word, reason, code):
     scene = stage()
 
-    async def play(pilot):
+    async def gone(_pilot):
         scene.words[word] = reason
         scene.words[Field.LOOP_PID] = 0
-        await scene.look(pilot)
 
-    assert scene.play(play) == code
+    assert scene.play(gone) == code
 
 
 def test_a_dump_is_shown_once_the_board_has_answered_and_any_key_closes_it(stage):
     scene = stage()
-    shown = []
 
-    async def play(pilot):
-        await pilot.press("d")
-        await scene.look(pilot)
-        shown.append(scene.text())
+    async def answered(_pilot):
         scene.words[Field.LOOKS] = scene.words[Field.LOOKS_ASKED]
-        await scene.look(pilot)
-        shown.append(scene.text())
-        await pilot.press("pagedown", "x")
-        await scene.look(pilot)
-        shown.append(scene.text())
 
-    scene.play(play)
-    before, dump, after = shown
+    scene.play("d", answered, "pagedown", "x")
+    _, before, dump, _, after = scene.shown
     assert "00 01 02 03" in dump
     assert "pwm1_prescaler = 9" in dump
     assert "space" in before
@@ -310,15 +259,9 @@ def test_a_dump_is_shown_once_the_board_has_answered_and_any_key_closes_it(stage
 def test_from_z_on_counts_begin_at_zero(stage):
     scene = stage()
     scene.tick((777, 888))
-    shown = []
-
-    async def play(pilot):
-        await scene.look(pilot)
-        await pilot.press("z")
-        shown.append(scene.text())
-
-    scene.play(play)
-    assert "777" not in shown[0]
+    scene.play("z")
+    assert "777" in scene.shown[0]
+    assert "777" not in scene.shown[1]
 
 
 def test_the_pci_board_is_asked_for_its_alarms_all_the_time(stage):
