@@ -4,6 +4,7 @@ Ids, descriptors, standard requests and packet rules are the product's own; only
 differs, so that one check list finds the same device on every level. The requests lie outside the board's range.
 """
 
+import time
 from enum import IntEnum
 
 from firmware_protocol.rtdac_usb2 import ENDPOINT_IN, ENDPOINT_OUT
@@ -96,3 +97,10 @@ def new_host(speed, *, drill=True, clock=None, **identity):
     host = UsbHost(board)
     board.host = host
     return host
+
+
+def eventually(condition):
+    deadline = time.monotonic() + 10
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen"
+        time.sleep(0.01)

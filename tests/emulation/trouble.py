@@ -4,12 +4,11 @@ The bench defines how its links are opened and how pyusb finds the board.
 """
 
 import errno
-import time
 import traceback
 from contextlib import contextmanager
 
 import pytest
-from drill import HandClock
+from drill import HandClock, eventually
 
 from firmware_protocol.rtdac_usb2 import ENDPOINT_IN, ENDPOINT_OUT
 from inteco_abs.boards.families.usb2 import RtdacUsb2
@@ -108,13 +107,6 @@ class Bench:
 def halt_of(endpoint):
     """The transfer that stalls an endpoint."""
     return Urb(0, lambda _urb: None, setup=SetupPacket(*_SET_HALT, endpoint, 0))
-
-
-def eventually(condition):
-    deadline = time.monotonic() + 10
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen"
-        time.sleep(0.01)
 
 
 TROUBLES = {

@@ -16,7 +16,7 @@ import pytest
 import usb.core
 import usb.util
 from check_list import CHECKS, Bench, fails
-from drill import Drill
+from drill import Drill, eventually
 
 from firmware_protocol.rtdac_usb2 import ENDPOINT_IN, ENDPOINT_OUT
 from firmware_protocol.rtdac_usb2_bridge import VENDOR_ID
@@ -24,13 +24,6 @@ from firmware_protocol.rtdac_usb2_bridge import VENDOR_ID
 
 def find():
     return usb.core.find(idVendor=VENDOR_ID)
-
-
-def eventually(condition):
-    deadline = time.monotonic() + 10
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen"
-        time.sleep(0.01)
 
 
 def blocked_read(device, seen):

@@ -1,6 +1,7 @@
 """Recorded stops, their bytes record by record, and the means to change them."""
 
 import resource
+import shutil
 import signal
 import struct
 import zlib
@@ -312,6 +313,14 @@ def at_phase(monkeypatch):
         monkeypatch.setattr(inteco_abs.experiment.run, "build_pipeline", build)
 
     return arrange
+
+
+@pytest.fixture
+def vanishing(at_phase, tmp_path):
+    """A folder for sessions that is removed in mid-run; a path in it."""
+    (tmp_path / "out").mkdir()
+    at_phase(Phase.BRAKING, lambda: shutil.rmtree(tmp_path / "out"))
+    return "out/stop.mcap"
 
 
 @pytest.fixture

@@ -214,14 +214,6 @@ def test_a_failure_before_the_first_tick_leaves_no_file(run, devices, monkeypatc
     assert [device.duties for device in devices] == [(0.0, 0.0)]
 
 
-@pytest.fixture
-def vanishing(at_phase, tmp_path):
-    """A folder for sessions that is removed in mid-run; a path in it."""
-    (tmp_path / "out").mkdir()
-    at_phase(Phase.BRAKING, lambda: shutil.rmtree(tmp_path / "out"))
-    return "out/stop.mcap"
-
-
 def test_session_moves_to_the_second_place_when_its_folder_vanishes(run, quick, devices, vanishing, replayed, tmp_path):
     (tmp_path / "spill").mkdir()
     made = run(f"session.spill={tmp_path / 'spill'}", name=vanishing)

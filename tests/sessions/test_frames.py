@@ -1,6 +1,5 @@
 """The raw frames of a run in its session: as the capture of the same run has them, and without disturbing it."""
 
-import shutil
 import zlib
 from contextlib import nullcontext
 
@@ -25,7 +24,7 @@ from inteco_abs.sessions import (
     validate,
 )
 from inteco_abs.sessions.frames import frame_facts, packed_frames
-from inteco_abs.signals import Phase, Reason
+from inteco_abs.signals import Reason
 from inteco_abs.wire.capture import Capture, Record, RecordKind, read_capture
 
 TOPIC = "/rig/io"
@@ -281,14 +280,6 @@ def test_a_recording_that_breaks_off_gives_the_frames_before_that(concluded, tmp
     *before, warning = read_frames(tmp_path / "short.mcap").records
     assert tuple(before) == records
     assert "may lack messages: line 4 is wrong" in warning.text
-
-
-@pytest.fixture
-def vanishing(at_phase, tmp_path):
-    """A folder for sessions that is removed in mid-run; a path in it."""
-    (tmp_path / "out").mkdir()
-    at_phase(Phase.BRAKING, lambda: shutil.rmtree(tmp_path / "out"))
-    return "out/stop.mcap"
 
 
 def test_a_run_whose_disk_vanishes_has_its_frames_in_the_second_place(run, vanishing, capture, tmp_path):
