@@ -11,11 +11,6 @@ BOTH = 0b100100
 masks = st.integers(0, ALL_PINS)
 
 
-def test_a_width_reaches_its_motor_when_the_pin_is_switched_to_pwm_and_to_output(mock):
-    mock.send(pin_mode=BOTH, pwm0_width=255, pwm1_width=51)
-    assert mock.device.duties == (1.0, 0.2)
-
-
 @given(mode=masks, direction=masks)
 def test_a_width_reaches_its_motor_exactly_when_its_own_pin_is_pwm_and_output(new_mock, mode, direction):
     mock = new_mock()

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from inteco_abs.control import CONTROLLERS, BrakingModel, ReachingLaw, Relay, Setup, reaching_law_torque
-from inteco_abs.rig import RigParameters, brake_duty, brake_torque
+from inteco_abs.rig import RigParameters, brake_duty
 from inteco_abs.signals import BrakeDemand, Estimate
 
 MASK = RigParameters.named("mask")
@@ -48,19 +48,6 @@ def test_gains_that_are_missing_too_many_given_twice_or_unknown_are_refused(valu
         ReachingLaw(SETUP, *values, **gains)
 
 
-def test_the_duty_settles_to_the_demanded_torque():
-    demand = ReachingLaw(SETUP, 2.0, 1.0).update(seen(0.1, 150.0), PERIOD_S)
-    assert 0.0 < demand.torque_nm < 9.03
-    assert brake_torque(demand.brake, MASK) == pytest.approx(demand.torque_nm, rel=1e-12)
-
-
-def test_torque_above_the_largest_is_full_brake_and_below_zero_none():
-    law = ReachingLaw(SETUP, 10.0, 4.0)
-    full, none = law.update(seen(0.1, 180.0), PERIOD_S), law.update(seen(0.9, 180.0), PERIOD_S)
-    assert (full.torque_nm > 9.03, full.brake) == (True, 1.0)
-    assert (none.torque_nm < 0.0, none.brake) == (True, 0.0)
-
-
 @pytest.mark.parametrize("road_speed", [5.0, 1.0, 0.0, -3.0])
 def test_at_and_below_the_hold_speed_the_last_demand_is_held(road_speed):
     law = ReachingLaw(SETUP, 2.0, 1.0)
@@ -82,19 +69,6 @@ def test_the_law_continues_after_a_hold():
     law.update(seen(0.1, 180.0), PERIOD_S)
     law.update(seen(0.1, 1.0), PERIOD_S)
     assert law.update(seen(0.1, 100.0), PERIOD_S) == ReachingLaw(SETUP, 2.0, 1.0).update(seen(0.1, 100.0), PERIOD_S)
-
-
-def test_on_the_surface_itself_the_law_demands_the_holding_torque():
-    f, g = MODEL.terms(0.2, 100.0)
-    demand = ReachingLaw(SETUP, 10.0, 4.0).update(seen(0.2, 100.0), PERIOD_S)
-    assert (demand.torque_nm, demand.switching) == (-f / g, 0.0)
-
-
-def test_the_two_gains_of_the_law_are_not_swapped():
-    error = -0.1
-    f, g = MODEL.terms(0.2 + error, 100.0)
-    torque = ReachingLaw(SETUP, Mk=7.0, Mq=3.0).update(seen(0.2 + error, 100.0), PERIOD_S).torque_nm
-    assert torque == pytest.approx((-f + 0.7 + 3.0) / g, rel=1e-12)
 
 
 @pytest.mark.parametrize(("slip", "brake"), [(0.0, 0.9), (math.nextafter(0.2, 0.0), 0.9), (0.2, 0.1), (1.0, 0.1)])

@@ -170,12 +170,6 @@ class TestEveryController:
         kind = CONTROLLERS[name]
         return kind(SETUP, **{gain.name: gain.default for gain in kind.gains})
 
-    def test_defaults_are_in_range_and_explained(self, name):
-        for gain in CONTROLLERS[name].gains:
-            assert gain.low <= gain.default <= gain.high
-            assert gain.unit
-            assert gain.meaning
-
     def test_it_describes_itself_in_one_line(self, name):
         assert len((CONTROLLERS[name].__doc__ or "").splitlines()[0]) > 20
 

@@ -3,7 +3,7 @@ import pytest
 from firmware_protocol import FrameField, FrameTable, ProtocolError, TableError
 from firmware_protocol.fields import Bits, ValueKind, first_word, get_bits, put_bits, words
 from firmware_protocol.rtdac_usb import LOGICS as LOGICS_OF_BYTES
-from firmware_protocol.rtdac_usb2 import READ, SEND, decode_read, decode_send, encode_read, encode_send
+from firmware_protocol.rtdac_usb2 import READ, SEND, decode_read, encode_read, encode_send
 
 SETTINGS = {
     "pin_mode": 0x24,
@@ -78,14 +78,6 @@ def test_words_in_order_have_a_place():
 def test_an_unknown_field_has_no_place():
     with pytest.raises(ProtocolError, match="did you mean pwm0_width"):
         SEND.place("pwm0_with")
-
-
-def test_a_frame_packed_in_place_is_still_understood():
-    frame = bytearray(encode_send(SETTINGS))
-    for name, width in (("pwm0_width", 4095), ("pwm1_width", 128)):
-        offset, codec = SEND.place(name)
-        codec.pack_into(frame, offset, width)
-    assert decode_send(frame) == {**decode_send(encode_send(SETTINGS)), "pwm0_width": 4095, "pwm1_width": 128}
 
 
 OF_BYTES = [table for logic in LOGICS_OF_BYTES.values() for table in (logic.read, logic.send)]

@@ -56,36 +56,6 @@ def test_a_frame_with_another_command_word_is_never_taken_as_a_send_frame(frame,
         decode_send(command.to_bytes(2, "little") + frame[2:])
 
 
-@whole_table
-@given(frame=frames, marked=st.integers(1, 251))
-def test_a_send_frame_is_understood_exactly_when_no_data_word_has_bit_15(frame, marked):
-    cleared = bytearray(frame)
-    cleared[:2] = b"\x0f\x8f"
-    for high_byte in range(3, 504, 2):
-        cleared[high_byte] &= 0x7F
-    assert set(decode_send(cleared)) == set(SEND.fields)
-    cleared[2 * marked + 1] |= 0x80
-    with pytest.raises(ProtocolError, match=f"word {marked} "):
-        decode_send(cleared)
-
-
-@no_deadline
-@given(junk=st.binary(max_size=1100))
-def test_decoders_answer_any_bytes_with_values_or_a_protocol_error(junk):
-    for decode in (decode_read, decode_send):
-        with suppress(ProtocolError):
-            assert decode(junk)
-            assert len(junk) == 504
-
-
-@no_deadline
-@given(name=st.text(max_size=30), value=st.none() | st.integers() | st.floats() | st.text() | st.booleans())
-def test_encoders_answer_any_name_and_value_with_a_frame_or_a_protocol_error(name, value):
-    for encode in (encode_read, encode_send):
-        with suppress(ProtocolError):
-            assert len(encode({name: value})) == 504
-
-
 @no_deadline
 @given(
     name=st.sampled_from(sorted(READ.fields)),

@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.rtdac_usb import decode_read, decode_send, encode_read, encode_send, logic_of
+from firmware_protocol.rtdac_usb import encode_read, encode_send, logic_of
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
@@ -61,12 +61,3 @@ def test_bit_7_of_every_sent_data_byte_is_zero_even_for_the_largest_values(logic
     sent = encode_send(largest, logic=logic)
     assert sent[0] == 0x81
     assert max(sent[1:]) == 0x7F
-
-
-@each_logic
-def test_settings_the_board_echoes_are_understood_on_both_sides(logic):
-    settings = {"pwm1_prescaler": 0xABCD, "pwm1_mode": 1, "pwm1_width": 3210, "pin_direction": 0x2FEDCBA}
-    understood = decode_send(encode_send(settings, logic=logic), logic=logic)
-    assert {name: understood[name] for name in settings} == settings
-    read_back = decode_read(encode_read(understood, logic=logic), logic=logic)
-    assert {name: read_back[name] for name in settings} == settings

@@ -101,28 +101,6 @@ def test_a_field_of_the_other_logic_is_refused(name):
         encode_send({name: 1}, logic=0x0112)
 
 
-@pytest.mark.parametrize("name", ["encoder0_count", "logic_version", "pin_input", "ad0_result", "application_name"])
-@each_logic
-def test_send_refuses_a_field_that_only_the_board_writes(logic, name):
-    with pytest.raises(ProtocolError, match=f"has no field '{name}'"):
-        encode_send({name: 0}, logic=logic)
-
-
-@pytest.mark.parametrize("length", [0, 1, 2, 8, 149, 151, 300, 504])
-@pytest.mark.parametrize("decode", [decode_read, decode_send])
-@each_logic
-def test_a_frame_of_another_length_is_refused(decode, length, logic):
-    with pytest.raises(ProtocolError, match=f"{length} bytes, must be 150"):
-        decode((encode_send({}, logic=logic) * 4)[:length], logic=logic)
-
-
-@pytest.mark.parametrize("command", [0x00, 0x01, 0x80, 0x82, 0x83, 0xFF])
-@each_logic
-def test_a_send_frame_with_another_command_is_refused(command, logic):
-    with pytest.raises(ProtocolError, match=f"command byte 0x{command:02X}, must be 0x81"):
-        decode_send(bytes([command]) + bytes(149), logic=logic)
-
-
 @pytest.mark.parametrize("byte", [0, 8, 20, 24, 41, 140, 148])
 @each_logic
 def test_bit_7_in_any_data_byte_of_a_send_frame_is_refused(byte, logic):

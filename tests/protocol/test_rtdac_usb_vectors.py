@@ -25,36 +25,6 @@ def test_read_frame_is_150_data_bytes_that_begin_with_the_version(logic):
     assert encode_read({}, logic=logic) == logic.to_bytes(2, "little") + bytes(148)
 
 
-@each_logic
-def test_pwm0_8_bit_prescaler_44_width_128(logic):
-    values = {"pwm0_mode": 0, "pwm0_prescaler": 44, "pwm0_width": 128}
-    assert encode_send(values, logic=logic)[22:27] == bytes.fromhex("2C 00 00 00 01")
-    assert encode_read(values, logic=logic)[21:26] == bytes.fromhex("2C 00 00 80 00")
-
-
-@each_logic
-def test_pwm1_12_bit_prescaler_2_width_4095_moves_its_mode_bit_on_read_back(logic):
-    values = {"pwm1_mode": 1, "pwm1_prescaler": 2, "pwm1_width": 4095}
-    assert encode_send(values, logic=logic)[27:32] == bytes.fromhex("02 00 40 7F 1F")
-    assert encode_read(values, logic=logic)[26:31] == bytes.fromhex("02 00 01 FF 0F")
-
-
-@each_logic
-def test_application_name_travels_last_character_first(logic):
-    frame = bytearray(encode_read({}, logic=logic))
-    frame[3:8] = bytes.fromhex("45 44 43 42 41")
-    assert decode_read(frame, logic=logic)["application_name"] == "ABCDE"
-    assert encode_read({"application_name": "ABCDE"}, logic=logic) == frame
-
-
-@pytest.mark.parametrize(("logic", "byte"), [(0x0111, 49), (0x0112, 37)])
-def test_encoder_1_at_minus_one(logic, byte):
-    frame = bytearray(encode_read({}, logic=logic))
-    frame[byte : byte + 4] = bytes.fromhex("FF FF FF FF")
-    assert decode_read(frame, logic=logic)["encoder1_count"] == -1
-    assert encode_read({"encoder1_count": -1}, logic=logic) == frame
-
-
 def test_the_published_lab_setting():
     values = {"pin_mode": 0x1F, "pin_direction": 0x0033060, "pwm0_prescaler": 65, "pwm0_mode": 1}
     frame = encode_send(values, logic=0x0111)

@@ -16,42 +16,10 @@ def test_send_frame_starts_with_its_command_word_and_has_504_bytes():
     assert not any(frame[2:])
 
 
-def test_pwm0_8_bit_prescaler_44_width_128():
-    values = {"pwm0_mode": 0, "pwm0_prescaler": 44, "pwm0_width": 128}
-    assert encode_send(values)[40:46] == bytes.fromhex("2C 00 00 00 80 00")
-    assert encode_read(values)[40:46] == bytes.fromhex("2C 00 00 00 80 00")
-
-
-def test_pwm1_12_bit_prescaler_2_width_4095_moves_its_mode_bit_on_read_back():
-    values = {"pwm1_mode": 1, "pwm1_prescaler": 2, "pwm1_width": 4095}
-    assert encode_send(values)[46:52] == bytes.fromhex("02 00 02 00 FF 0F")
-    assert encode_read(values)[46:52] == bytes.fromhex("02 00 01 00 FF 0F")
-
-
-def test_encoder_1_at_minus_one():
-    frame = bytearray(504)
-    frame[110:114] = bytes.fromhex("FF FF FF FF")
-    assert decode_read(frame)["encoder1_count"] == -1
-    assert encode_read({"encoder1_count": -1}) == frame
-
-
-def test_application_name_travels_last_character_first():
-    frame = bytearray(504)
-    frame[2:8] = bytes.fromhex("46 45 44 43 42 41")
-    assert decode_read(frame)["application_name"] == "ABCDEF"
-    assert encode_read({"application_name": "ABCDEF"}) == frame
-
-
 def test_short_application_name_is_padded_at_its_end():
     frame = encode_read({"application_name": "ABS"})
     assert frame[2:8] == b"\0\0\0SBA"
     assert decode_read(frame)["application_name"] == "ABS"
-
-
-def test_synthesis_date_is_read_in_hex_digits():
-    frame = bytearray(504)
-    frame[8:12] = bytes.fromhex("06 06 11 20")
-    assert decode_read(frame)["synthesis_date"] == "20110606"
 
 
 @pytest.mark.parametrize("buffer", [bytes, bytearray, memoryview])

@@ -37,41 +37,6 @@ def ring_of(capacity):
     return Ring(capacity)
 
 
-def test_records_come_out_in_the_order_they_went_in():
-    ring = ring_of(10)
-    for number in range(7):
-        ring.append(number)
-    assert ring.take() == b"".join(map(record, range(7)))
-
-
-def test_nothing_is_taken_from_an_empty_ring():
-    ring = ring_of(3)
-    assert ring.take() == b""
-    ring.append(1)
-    ring.take()
-    assert ring.take() == b""
-
-
-def test_a_record_is_taken_once():
-    ring = ring_of(10)
-    ring.append(1)
-    ring.append(2)
-    assert ring.take() == record(1) + record(2)
-    ring.append(3)
-    assert ring.take() == record(3)
-
-
-@pytest.mark.parametrize("first", range(1, 5))
-def test_records_come_out_in_order_across_the_end_of_the_memory(first):
-    ring = ring_of(4)
-    for number in range(first):
-        ring.append(number)
-    ring.take()
-    for number in range(10, 14):
-        ring.append(number)
-    assert ring.take() == b"".join(map(record, range(10, 14)))
-
-
 def test_a_full_ring_refuses_and_keeps_what_it_has():
     ring = ring_of(3)
     for number in range(3):

@@ -3,7 +3,6 @@
 Sweeps over every bit take long; `test_broken_files` draws cuts and changes from all of a file.
 """
 
-import random
 import zlib
 from itertools import product
 
@@ -91,27 +90,6 @@ def whole_ticks(container, data, end):
 
 
 @pytest.mark.untraced
-def test_a_file_cut_between_any_two_records_never_gives_a_wrong_tick(reading, container, chunked):
-    variants = reading(chunked)
-    for end in boundaries(container, variants.data):
-        session = variants.read(variants.data[:end], end)
-        assert session is None or session.incomplete, end
-    assert variants.wrong == []
-    assert variants.incomplete > 10
-
-
-@pytest.mark.long
-@pytest.mark.untraced
-def test_a_file_cut_anywhere_never_gives_a_wrong_tick(reading, chunked):
-    variants = reading(chunked)
-    for end in random.Random(2).sample(range(len(variants.data)), 60):
-        session = variants.read(variants.data[:end], end)
-        assert session is None or session.incomplete, end
-    assert variants.wrong == []
-    assert variants.incomplete > 30
-
-
-@pytest.mark.untraced
 def test_a_cut_file_keeps_the_ticks_of_every_whole_chunk(reading, container, chunked):
     variants = reading(chunked)
     middles = [(record.at + record.end) // 2 for record in container.split(variants.data) if record.opcode == CHUNK]
@@ -120,6 +98,8 @@ def test_a_cut_file_keeps_the_ticks_of_every_whole_chunk(reading, container, chu
     for end in ends:
         session = variants.read(variants.data[:end], end)
         counts[end] = None if session is None else len(session.ticks)
+        assert session is None or session.incomplete, end
+    assert variants.wrong == []
     whole = {end: whole_ticks(container, variants.data, end) for end in ends if end >= len(container.magic)}
     assert max(whole.values()) == chunked.stop.card["ticks"]
     assert counts == whole
@@ -131,16 +111,6 @@ def test_a_file_with_bytes_after_its_end_is_not_called_whole_and_has_no_wrong_ti
     assert session.incomplete
     assert session.payload == variants.whole.payload
     assert variants.wrong == []
-
-
-@pytest.mark.long
-@pytest.mark.untraced
-def test_single_bit_flips_anywhere(reading, chunked):
-    variants, generator = reading(chunked), random.Random(3)
-    for offset in generator.sample(range(len(variants.data)), 300):
-        variants.flip(offset, generator.randrange(8))
-    assert variants.wrong == []
-    assert variants.refused > 250
 
 
 @pytest.mark.long
@@ -196,21 +166,6 @@ def test_every_bit_around_the_attachment(reading, container, tiny):
         variants.flip(record.at + 9 + place, bit)
     assert variants.wrong == []
     assert variants.accepted == 0
-
-
-def test_a_wrong_bit_in_a_tick_under_right_checksums_is_found_by_the_payload_hash(container, altered, tiny):
-    session = tiny.session
-    records = []
-    for record in container.split(tiny.path.read_bytes()):
-        if record.opcode == CHUNK:
-            raw = bytearray(container.unpack(record))
-            at = raw.find(session.payload[-TICK.size :])
-            if at >= 0:
-                raw[at + TICK.size - 1] ^= 1  # `skipped`, which no schema can refuse
-            record = container.chunk(bytes(raw), len(raw), "")  # noqa: PLW2901
-        records.append(record)
-    with pytest.raises(SessionError, match="do not match the hash"):
-        read_session(altered(container.join(records)))
 
 
 def test_a_wrong_bit_in_a_tick_of_a_cut_file_is_found_by_the_checksum_of_its_chunk(container, altered, tiny):

@@ -204,17 +204,6 @@ def test_what_was_logged_first_is_on_the_disk_before_the_first_tick(tmp_path):
     assert session.attachments == {"config.toml": b"profile = 'sim_usb2'\n"}
 
 
-def test_without_finish_the_file_is_incomplete(tmp_path, quick):
-    path = tmp_path / "stop.mcap"
-    with FileWriter(path, 0) as recorder:
-        recorder.begin({})
-        recorder.ticks(quick.session.payload)
-    session = read_session(path)
-    assert session.incomplete
-    assert quick.session.payload[: len(session.payload)] == session.payload
-    assert "outcome" not in session.metadata["session"]
-
-
 def test_a_later_fact_of_one_name_replaces_and_the_others_stay(tmp_path, quick):
     path = tmp_path / "stop.mcap"
     with FileWriter(path, 0) as recorder:
