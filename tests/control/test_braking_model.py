@@ -37,20 +37,6 @@ def test_f_and_g_are_the_chain_rule_of_the_slip_along_the_full_model(name, slip,
     assert f + g * torque == pytest.approx(of_wheel + of_road, rel=0.0, abs=1e-12 * scale)
 
 
-@given(names, slips, road_speeds)
-def test_the_holding_torque_keeps_the_slip_of_the_full_model(name, slip, road_speed):
-    k, model = SETS[name], MODELS[name]
-    f, g = model.terms(slip, road_speed)
-    wheel_speed = wheel_speed_at(slip, road_speed, k)
-    holding = -f / g
-    motion = accelerations(wheel_speed, road_speed, max(0.0, holding), 0.0, k)
-    rims = k.r1 * motion.wheel_acceleration, (1.0 - slip) * k.r2 * motion.road_acceleration
-    if holding > 0.0:
-        assert rims[0] == pytest.approx(rims[1], rel=1e-10, abs=1e-9)
-    else:
-        assert rims[0] < rims[1]
-
-
 @pytest.mark.parametrize("name", sorted(SETS))
 def test_the_constants_have_the_structure_of_equation_10(name):
     k, c = SETS[name], MODELS[name]
@@ -113,22 +99,6 @@ def test_S_is_what_the_normal_force_makes_of_the_adhesion(name, slip):
 @given(names, all_slips, road_speeds)
 def test_more_brake_torque_always_raises_the_slip(name, slip, road_speed):
     assert MODELS[name].g(slip, road_speed) > 0.0
-
-
-@given(names, slips, road_speeds, road_speeds)
-def test_g_at_a_fixed_slip_is_inverse_to_the_road_speed(name, slip, one, other):
-    model = MODELS[name]
-    assert model.g(slip, one) * one == pytest.approx(model.g(slip, other) * other, rel=1e-13)
-
-
-@given(names, all_slips)
-def test_f_times_speed_and_the_holding_torque_are_affine_in_the_road_speed(name, slip):
-    model = MODELS[name]
-    speeds = 10.0, 80.0, 150.0  # equally spaced: the middle value is the mean of the outer ones
-    scaled = [model.f(slip, speed) * speed for speed in speeds]
-    holding = [-model.f(slip, speed) / model.g(slip, speed) for speed in speeds]
-    assert scaled[1] == pytest.approx((scaled[0] + scaled[2]) / 2.0, rel=1e-12, abs=1e-12)
-    assert holding[1] == pytest.approx((holding[0] + holding[2]) / 2.0, rel=1e-12, abs=1e-12)
 
 
 @pytest.mark.parametrize(("road_speed", "size_of_f"), [(12.0, 40.0), (46.0, 10.0), (115.0, 4.0)])

@@ -32,41 +32,6 @@ def test_the_speed_is_the_count_difference_over_the_window_by_its_elapsed_time(l
         assert window.update(time_ns, count) == pytest.approx(expected, rel=1e-12)
 
 
-@given(lengths, turns, st.integers(-90, 90), steps_ns, counts, st.integers(0, 2**60))
-def test_a_constant_speed_is_exact_from_the_second_sample_on(length, per_turn, step, step_ns, start, since_ns):
-    window = MovingAverageSpeed(per_turn, length)
-    exact = step * TURN / per_turn / (step_ns * 1e-9)
-    speeds = [window.update(since_ns + k * step_ns, start + k * step) for k in range(2 * length + 3)]
-    assert speeds[0] == 0.0
-    assert speeds[1:] == pytest.approx([exact] * (2 * length + 2), rel=1e-12)
-
-
-@given(lengths, st.lists(st.tuples(steps_ns, st.integers(-1000, 1000)), min_size=2, max_size=60), counts)
-def test_only_differences_of_counts_matter(length, track, offset):
-    plain, shifted, time_ns = MovingAverageSpeed(2048, length), MovingAverageSpeed(2048, length), 0
-    for step_ns, count in track:
-        time_ns += step_ns
-        assert plain.update(time_ns, count) == shifted.update(time_ns, count + offset)
-
-
-@given(lengths, st.lists(st.tuples(steps_ns, st.integers(-1000, 1000)), min_size=2, max_size=60))
-def test_counting_the_other_way_is_the_negative_speed(length, track):
-    forward, backward, time_ns = MovingAverageSpeed(2048, length), MovingAverageSpeed(2048, length), 0
-    for step_ns, count in track:
-        time_ns += step_ns
-        assert forward.update(time_ns, count) == -backward.update(time_ns, -count)
-
-
-@given(lengths, st.integers(1, 1000))
-def test_a_step_of_counts_is_forgotten_after_one_length(length, jump):
-    window = MovingAverageSpeed(2048, length)
-    for k in range(length + 1):
-        window.update(k * 500_000, 0)
-    at_jump = [window.update((length + 1 + k) * 500_000, jump) for k in range(length + 1)]
-    assert all(speed > 0.0 for speed in at_jump[:length])
-    assert at_jump[length] == 0.0
-
-
 @pytest.mark.parametrize("later_ns", [1_000_000, 999_999])
 def test_two_samples_at_one_time_give_no_speed(later_ns):
     window = MovingAverageSpeed(2048, 1)
