@@ -8,7 +8,7 @@ from contextlib import suppress
 from typing import ClassVar
 
 import pytest
-from drill import Drill, new_host
+from drill import Drill, eventually, new_host
 from usbip_client import UsbIpBus, connect, receive
 
 from inteco_abs.mock_board import UnixAddress, UsbSpeed
@@ -106,13 +106,6 @@ def peer(server):
 @pytest.fixture
 def attached(peer):
     return peer.take()
-
-
-def eventually(condition):
-    deadline = time.monotonic() + 5
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
 
 
 def test_devices(peer):
