@@ -394,6 +394,8 @@ def test_controller_returning_a_wrong_type_ends_the_run_not_the_loop(experiment,
     if last.reason is Reason.CONTROLLER_ERROR:
         (where,) = run.pipeline.error.__notes__
         assert "test_pipeline.py" in where
+    if type(answer) is not BrakeDemand:
+        assert str(run.pipeline.error).startswith("update() must return a BrakeDemand, not ")
 
 
 @pytest.mark.parametrize("brake", [math.nan, math.inf, None, True, "0.5", np.float64("nan"), np.ones(1)], ids=repr)

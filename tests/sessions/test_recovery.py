@@ -248,6 +248,15 @@ def test_metadata_attachments_and_times_are_the_originals(rescue, short):
     assert session.log == whole.log
 
 
+def test_the_outcome_of_the_original_is_not_beside_that_of_the_recovery(rescue, officially, short, tmp_path):
+    rescue(short.read_bytes()[:-400])
+    records = [
+        each.metadata for each in officially(tmp_path / "out.mcap").metadata if each.name == "inteco_abs.session"
+    ]
+    assert [each["outcome"] for each in records if "outcome" in each] == ["recovered"]
+    assert len([each for each in records if "ticks" in each]) == 1
+
+
 def test_a_single_tick_that_is_missing_is_named(rescue, short, tmp_path):
     session = read_session(short)
     with FileWriter(tmp_path / "gap.mcap", int(session.ticks["time_ns"][0])) as recorder:
