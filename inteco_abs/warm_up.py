@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from importlib import import_module
 from typing import Any, Final, NamedTuple
 
@@ -27,8 +28,11 @@ class CompiledLoops(NamedTuple):
 def paying_loops(module: str, key: object, ticks: float) -> CompiledLoops | None:
     """The `module` if it pays for so many ticks, of which each takes as long as one of a replay, and those before.
 
-    Those before had the same `key`. None without numba, too.
+    Those before had the same `key`. None without numba, too, and where the environment has numba's own switch,
+    NUMBA_DISABLE_JIT=1: it saves the memory of numba and of its machine code.
     """
+    if os.environ.get("NUMBA_DISABLE_JIT", "0") not in {"", "0"}:
+        return None
     if ticks < math.inf:
         ticks = asked_for[key] = asked_for.get(key, 0.0) + ticks
     if ticks < WORTH_LOADING:

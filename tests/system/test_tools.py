@@ -69,6 +69,15 @@ def test_a_stop_more_adds_its_rows_to_the_ring_and_next_to_nothing_else(untraced
 
 
 @pytest.mark.long
+def test_a_long_run_without_machine_code_takes_less_than_150_mb(untraced):
+    """Its ring is full, so that further stops add next to nothing."""
+    printed = run("bench_memory", "120", "--quick", "--json", environment={**untraced, "NUMBA_DISABLE_JIT": "1"})
+    long = json.loads(printed)["runs"]["120"]
+    assert long["ticks"] > 60 * 2_000
+    assert long["peaks_mb"]["command"] < 150.0
+
+
+@pytest.mark.long
 @pytest.mark.xdist_group("real time")
 @pytest.mark.parametrize(
     ("arguments", "rows"),
