@@ -438,6 +438,13 @@ def test_every_demand_of_a_controller_can_be_recorded(experiment, demand):
         assert len(struct.pack("<8d", *numbers)) == 64
 
 
+@pytest.mark.parametrize("demand", [BrakeDemand(1, 4, 2.0), BrakeDemand(1, 4, 2)], ids=repr)
+def test_whole_numbers_of_a_demand_are_logged_as_floats(experiment, demand):
+    run = experiment(*QUICK, pipeline=with_controller(lambda _call: demand))
+    tick = next(moment.tick for moment in run.moments() if moment.tick.torque_demand_nm)
+    assert repr((tick.brake_request, tick.torque_demand_nm, tick.switching)) == "(1.0, 4.0, 2.0)"
+
+
 @pytest.mark.parametrize(("requested", "sent"), [(1.0, 0.7), (0.7, 0.7), (0.3, 0.3), (-0.5, 0.0), (1e308, 0.7)])
 def test_request_and_command_are_both_logged_and_the_guard_has_the_last_word(experiment, requested, sent):
     run = experiment(*QUICK, "guard.brake_limit=0.7", pipeline=with_controller(lambda _call: BrakeDemand(requested)))
