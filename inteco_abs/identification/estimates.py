@@ -17,7 +17,7 @@ from inteco_abs.identification.discs import HARMONICS, amplitude
 from inteco_abs.identification.fit import Fit, Progress, fit
 from inteco_abs.identification.parameters import ASSUMED, Priors, torque_name
 from inteco_abs.identification.segments import Segment, SegmentKind
-from inteco_abs.rig import DriveMotor, RigParameters, adhesion, measured_torque, nominal_parameters
+from inteco_abs.rig import AdhesionCurve, DriveMotor, RigParameters, adhesion, measured_torque, nominal_parameters
 from inteco_abs.sessions import check_output
 from inteco_abs.views.shown import Shown
 
@@ -369,7 +369,7 @@ def _torque(name: str) -> Callable[[Mapping[str, float]], float]:
 
 
 def _mu(priors: Priors, slip: float) -> Callable[[Mapping[str, float]], float]:
-    return lambda values: adhesion(slip, priors.parameters(values))
+    return lambda values: AdhesionCurve(1.0, values["blend"]).adhesion(slip, priors.parameters(values))
 
 
 def _mu_name(slip: float) -> str:

@@ -38,7 +38,7 @@ _SPEEDS: Final[Mapping[str, int]] = {"run-up": 0, "coast-down": 1, "braking": 2}
 within milliseconds, so its start is not observed."""
 _STEP: Final = 1e-4
 """Step of the differences: the integration's steps are cut differently from there on, which moves counts by 1e-4."""
-_WIDE: Final = {"d1": 1e-2, "M10": 1e-2, "creep": 1e-2, "release_delay": 1e-5} | dict.fromkeys(
+_WIDE: Final = {"d1": 1e-2, "M10": 1e-2, "blend": 1e-2, "creep": 1e-2, "release_delay": 1e-5} | dict.fromkeys(
     ("creep_p", "w1/w4", "w2/w4", "w3/w4", "dead_time", "release", "fade"), 1e-3
 )
 """Step for parameters of little effect, of which that error would be a larger share, and of a time in s."""
@@ -47,7 +47,7 @@ _EVERYWHERE: Final = ("J1", "Mg", "d1", "M10", "r1/r2", "d", "M0")
 _DEPENDS: Final[Mapping[str, tuple[str, ...]]] = {
     "run-up": (*_EVERYWHERE, "creep", "creep_p", "stall", "no_load"),
     "coast-down": (*_EVERYWHERE, "creep", "creep_p"),
-    "braking": (*_EVERYWHERE, "w4", "w1/w4", "w2/w4", "w3/w4", "a", "p", *_BRAKE),
+    "braking": (*_EVERYWHERE, "blend", "w4", "w1/w4", "w2/w4", "w3/w4", "a", "p", *_BRAKE),
 }
 """Parameters that affect each kind of segment, besides the brake's torques; the scale affects none."""
 

@@ -4,6 +4,11 @@ Counts have no scale: if inertias, frictions, torques and the lever's moment are
 counts stay the same. So the search is for ratios to the moment of inertia of both wheels as they roll,
 J = J2 + (r2/r1)^2*J1, at its prior; `scale`, the ratio of the true J to that, cannot be identified. Run-up and
 coast-down then determine only the sums over both wheels: d = d2 + (r2/r1)^2*d1, and M0 = M20 + (r2/r1)*M10.
+
+The form of the friction curve is assumed, too: equation (8). The manual's measured surface (figure 5.6c) has another,
+which no choice of its constants gives exactly, and what is left moves the slip at small torques and with it the ratio
+of the radii. `blend`, the share of the measured curve in the rig's, stays 0 in the search; that it may be 1 is part of
+the intervals.
 """
 
 from __future__ import annotations
@@ -24,7 +29,8 @@ Floats = npt.NDArray[np.float64]
 ASSUMED: Final[Mapping[str, float]] = {"J1": 0.05, "J2": 0.05, "Mg": 0.05, "d1": 0.2, "M10": 0.6}
 """Assumed parameters, and their uncertainty in both directions as a share. M10: the manual's table 3 has 0.0022 to
 0.0050 N m for one rig; the others as in the population `hard`."""
-FIXED: Final = ("scale", "J1", "Mg", "d1", "M10")
+_SCALED: Final = ("J1", "Mg", "d1", "M10")
+FIXED: Final = ("scale", *_SCALED, "blend")
 """Parameters that stay at their priors in the search, the first ones."""
 FULL_NM: Final = 20.0
 """More than any brake of this rig gives; the plant gets torques as shares of it."""
@@ -75,6 +81,7 @@ class Priors:
             FitParameter("Mg", k.Mg, 1.0),
             FitParameter("d1", k.d1, 1.0),
             FitParameter("M10", k.M10, 1.0),
+            FitParameter("blend", 0.0, 1.0 / _UNIFORM, log=False),
             FitParameter("r1/r2", k.r1 / k.r2, _RADII),
             FitParameter("d", k.d2 + share * k.d1, 1.0),
             FitParameter("M0", k.M20 + k.r2 / k.r1 * k.M10, 1.0),
@@ -103,7 +110,7 @@ class Priors:
         What is assumed has absolute priors, which fix the scale; all others have priors of their ratio to J.
         """
         names = [each.name for each in self.fit_parameters]
-        scale, J1, Mg, d1, M10 = (names.index(name) for name in FIXED)
+        scale, J1, Mg, d1, M10, _ = (names.index(name) for name in FIXED)
         rows = np.diag([1.0 / each.sd for each in self.fit_parameters])
         rows[[scale, J1, Mg, d1, M10]] = 0.0
         k = self.base
@@ -127,14 +134,14 @@ class Priors:
         """Parameters by name, from the coordinates of the search.
 
         Other radii change the J of wheels whose J1 and J2 are those of the priors. The search keeps J all the same, as
-        all that it finds would have to follow the radii; so the scale has that change, and the others of FIXED, whose
-        priors are absolute, have its inverse.
+        all that it finds would have to follow the radii; so the scale has that change, and those of FIXED whose priors
+        are absolute have its inverse.
         """
         found = {each.name: each.value(one) for each, one in zip(self.fit_parameters, coordinates, strict=False)}
         k, ratio = self.base, found["r1/r2"]
         change = (k.J2 + k.J1 / (ratio * ratio)) / (k.J2 + self.rolling_share * k.J1)
         found["scale"] *= change
-        for name in FIXED[1:]:
+        for name in _SCALED:
             found[name] /= change
         return found
 

@@ -35,8 +35,11 @@ def angles(
         replace(
             Constants.of(priors.variation(values, rolling=rolling), motor, step_s),
             brake_fade_per_kj=max(values["fade"], _LEAST_FADE),
+            adhesion_blend=blend,
+            plain_curve=blend == 0.0,
         )
         for values, motor in zip(sets, motors, strict=True)
+        for blend in (0.0 if rolling else values["blend"],)
     ]
     levels = (0.0, *segment.levels)
     duties = [[0.0, *(values[torque_name(level)] for level in segment.levels)] for values in sets]

@@ -78,6 +78,14 @@ def test_other_radii_leave_what_is_assumed_at_its_values():
     assert (found.d1, found.M10) == pytest.approx((base.d1, base.M10))
 
 
+def test_a_friction_curve_of_the_measured_form_is_part_of_the_intervals(found):
+    names = [each.name for each in found.fit.priors.fit_parameters]
+    blend, ratio = names.index("blend"), names.index("r1/r2")
+    assert found.fit.found[blend] == 0.0
+    assert found.fit.moved[ratio, blend] > 1e-4  # too small an estimate where the curve is the measured one
+    assert found.fit.total[ratio, ratio] > found.fit.moved[ratio, blend] ** 2 / 3.0
+
+
 def true_values():
     k = RIG.parameters
     share = (k.r2 / k.r1) ** 2
