@@ -87,8 +87,7 @@ def test_slip_slows_at_most_half_as_hard_as_a_slow_release_allows(slip, road_spe
         slip, 0.0, (1.0 - slip) * MASK.r2 / MASK.r1 * road_speed, road_speed, adhesion(slip, MASK)
     )
     a = min(0.5 * held / (0.1 * slowest * by_rate), deceleration(road_speed))
-    release = {"brake_release_ratio": slowest, "slowest_release_ratio": slowest}
-    expected = outlook(slip, road_speed, brake_lag_s=0.1, **release)
+    expected = outlook(slip, road_speed, brake_lag_s=0.1, slowest_release_ratio=slowest)
     rate = slip_rate(slip, road_speed, demand_at(expected).torque_nm)
     assert rate == pytest.approx(math.sqrt(2.0 * a * (0.2 - slip - a / (2.0 * K**2))), rel=1e-6)
     unlimited = demand_at(expected, release_share=0.0)

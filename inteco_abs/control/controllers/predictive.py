@@ -92,6 +92,8 @@ def _find_torques(k: PredictiveConstants, s: PredictiveState, estimate: Estimate
     factor_rate = (seen.ripple_sine * cosine - seen.ripple_cosine * sine) * x1
     mu = formula(k.contact.parameters, max(slip, _RISEN_SLIP))
     deceleration = min(k.a * _START_RAD_S / x2, k.a_most)
+    if seen.brake_release_ratio > 1.0:
+        deceleration /= seen.brake_release_ratio
     if k.release_share > 0.0 and seen.slowest_release_ratio > 1.0:
         held, by_held, _ = demanded_torque(k.contact, slip, 0.0, x1, x2, factor * mu)
         release_s = seen.brake_lag_s * seen.slowest_release_ratio
@@ -141,9 +143,9 @@ class PredictiveReaching(PredictiveState):
     in the observer's model, and M*' from the law's slope and the known ripple. Needs the observer.
 
     A brake that releases rho times slower than it rises takes the torque M off at most at M/(rho*tau), and the
-    deceleration a asks for a*dM/ds', with the derivative of the model's torque by the slip's rate. So a is at most
-    `release_share` times M/(rho*tau*dM/ds') with the slowest rho that is likely. There is no such limit where the
-    observer takes release and rise for equal, and a brake with a short lag hardly feels it.
+    deceleration a asks for a*dM/ds', with the derivative of the model's torque by the slip's rate. So a is divided by
+    the estimated rho, and at most `release_share` times M/(rho*tau*dM/ds') with the slowest rho that is likely. There
+    is no such limit where the observer takes release and rise for equal.
 
     Where the model is wrong the slip swings about the reference. Each time that its error, which was beyond the
     `swing_band` on one side, is so on the other, k and kM fall to half, down to 1/32: the slower loop bears more dead

@@ -61,6 +61,7 @@ _QUICK_GROWTH_S: Final = 0.006
 """That time below which a brake is quick: its lag is then 6.5 times what exceeds 2.7 ms."""
 _LAG_BY_GROWTH: Final = 6.5
 _LEAST_GROWTH_S: Final = 0.0027
+_LONGEST_QUICK_LAG_S: Final = _LAG_BY_GROWTH * (_QUICK_GROWTH_S - _LEAST_GROWTH_S)
 _QUICKLY_NOTICED_S: Final = 0.006
 _NOTICED_BY_LAG: Final = 0.37
 """A quick brake is noticed after 6 ms and this share of its lag."""
@@ -239,7 +240,11 @@ def _move_onset(k: ObserverConstants, s: ObserverState, th1: float, x1: float, t
 
 
 def _take_for_quick(k: ObserverConstants, s: ObserverState) -> None:
-    """Begin again with a brake of the lag that the departure's growth shows."""
+    """Begin again with a brake of the lag that the departure's growth shows.
+
+    The shorter that is, the nearer to 1 its factor in releasing is expected: of a slower brake that passes for a quick
+    one, a long one of these shows.
+    """
     x, P, tuning = s.ekf.x, s.ekf.P, k.ekf.tuning
     th1, x1, th2, x2 = x[0], x[1], x[2], x[3]
     begin(k.ekf, s.ekf, s.pending, s.wheel, s.road)
@@ -251,6 +256,7 @@ def _take_for_quick(k: ObserverConstants, s: ObserverState) -> None:
     lag_s = max(_LAG_BY_GROWTH * (s.growth_s - _LEAST_GROWTH_S), tuning.shortest_lag_s)
     noticed_s = _QUICKLY_NOTICED_S + _NOTICED_BY_LAG * lag_s
     x[9], x[10] = max(SHORTEST_DEAD_TIME_S, s.acted_s - noticed_s), lag_s
+    x[11] = 1.0 + (x[11] - 1.0) * (lag_s / _LONGEST_QUICK_LAG_S)
     settled, _ = arrived(k.ekf.delay, s.pending, x[9], 0)
     x[4] = settled * (1.0 - elementary.exp(-(noticed_s + s.growth_s) / lag_s))
     for i in range(4):
