@@ -3,6 +3,7 @@
 import json
 import os
 import subprocess
+import sys
 import sysconfig
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,6 +23,12 @@ STOP = (
 """The simulated rig costs most where its wheels begin and cease to turn: there this processor falls behind by a fifth
 of a second.
 """
+MOCK_BOARD = """
+from inteco_abs import cli, elementary
+with elementary.arithmetic(elementary.LIBM):
+    cli.main()
+"""
+"""The mock board stands for hardware and is not replayed: the C library's arithmetic costs half of the portable one."""
 _USED = (
     "inteco_abs.cli",
     "inteco_abs.experiment",
@@ -50,7 +57,8 @@ def prepare(used, *modules, rules=()):
 def mock_board(*arguments):
     """The product's own mock board plugged in: its folder in sysfs."""
     path = SCRATCH / "mock"
-    with subprocess.Popen([COMMAND, "mock-board", *arguments, "--usbip", f"unix:{path}"]) as server:
+    command = [sys.executable, "-c", MOCK_BOARD, "mock-board", *arguments, "--usbip", f"unix:{path}"]
+    with subprocess.Popen(command) as server:
         try:
             folder = bus.attach(path)
             bus.favour(server)
