@@ -1,4 +1,4 @@
-"""Machine code of functions of constants and state, and records of both, which such code reads and writes.
+"""Machine code of functions of constants and state, made by numba.
 
 `compiled` makes machine code of a function and of all Python functions that it calls, wherever they are written: the
 source is that which Python runs.
@@ -13,24 +13,23 @@ import re
 from collections import namedtuple
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import Field, astuple, fields, is_dataclass
-from functools import cache, partial
+from dataclasses import astuple, fields, is_dataclass
+from functools import cache
 from pathlib import Path
 from types import FunctionType, ModuleType
-from typing import Any, Final, NamedTuple, TypeVar, cast
-
-import numpy as np
+from typing import Any, Final, TypeVar, cast
 
 from inteco_abs import elementary
+from inteco_abs.bound_function import BoundFunction, bound, global_names
 from inteco_abs.errors import AbsError
 
 try:
-    from numba import njit, typeof
+    from numba import from_dtype, njit, typeof, types
     from numba.core.caching import IndexDataCacheFile
+    from numba.np.numpy_support import carray
 except ImportError as error:
     raise AbsError("many rigs at once need numba: pip install 'inteco-abs[lab]'") from error
 
-_PACKAGE: Final = Path(elementary.__file__).parent
 _PICKLE: Final = b"\x80"
 """Its first byte, which no other byte of a version is."""
 _DIGEST_BYTES: Final = hashlib.sha256().digest_size
@@ -43,7 +42,7 @@ def compiled(function: Function) -> Function:
 
     The code is kept on disk under the content of every file that it comes from: numba itself looks at one alone.
     """
-    found: Function = _compiled(_bound(function))
+    found: Function = _compiled(bound(function))
     return found
 
 
@@ -61,46 +60,51 @@ def compile_problem(function: Function, arguments: Sequence[Any]) -> str:
     return ""
 
 
-def is_compiled(function: Function) -> bool:
-    """Whether there is machine code of `function` in this process or on disk, which is loaded in under a second."""
-    native: Any = compiled(function)
-    folder = native.stats.cache_path
-    return bool(native.signatures) or (
-        folder is not None and any(Path(folder).glob(f"*.{native.py_func.__qualname__}-*.nbi"))
-    )
+def object_code(function: Callable[..., Any], arguments: Sequence[Any]) -> tuple[str, bytes] | None:
+    """Symbol and object file of `function` for such arguments, or None if it cannot be compiled.
 
+    Its parameters are the leaves of the arguments: an address for a record, address and length for an array, numbers as
+    they are.
+    """
+    if compile_problem(function, arguments):
+        return None
+    names: list[str] = []
+    kinds: list[Any] = []
+    known: dict[str, Any] = {"carray": carray, "function": compiled(function)}
 
-def is_own(function: Function) -> bool:
-    """Whether all source of `function` is this package's: tests ensure that its machine code has the bits of Python."""
-    return all(Path(file).is_relative_to(_PACKAGE) for file in _files(_bound(function)))
+    def parameter(kind: Any) -> str:
+        names.append(f"p{len(names)}")
+        kinds.append(kind)
+        return names[-1]
 
+    def expression(value: Any) -> str:
+        if isinstance(value, tuple):
+            known[type(value).__name__] = type(value)
+            return f"{type(value).__name__}({', '.join(map(expression, value))})"
+        if isinstance(value, int | float):
+            return parameter(typeof(value))
+        address = parameter(types.CPointer(from_dtype(value.dtype)))
+        return f"carray({address}, {parameter(types.int64)})" if value.shape else f"carray({address}, 1)[0]"
 
-class _Bound(NamedTuple):
-    """A function, and those that it gets as keywords."""
-
-    function: FunctionType
-    keywords: tuple[tuple[str, _Bound], ...]
-
-
-def _bound(function: Any) -> _Bound:
-    if isinstance(function, partial):
-        keywords = tuple((name, _bound(part)) for name, part in function.keywords.items())
-        return _Bound(cast(FunctionType, function.func), keywords)
-    return _Bound(function, ())
+    call = f"function({', '.join(map(expression, arguments))})"
+    exec(f"def entry({', '.join(names)}):\n    return {call}", known)  # noqa: S102  of the lines above
+    bare: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    entry = njit(tuple(kinds), error_model="numpy", **bare)(known["entry"])
+    made: Any = next(iter(entry.overloads.values()))
+    _, _, (data, _) = made.library.serialize_using_object_code()
+    return made.fndesc.llvm_func_name, data
 
 
 @cache
-def _compiled(bound: _Bound) -> Any:
-    function = _without_parameters(*bound)
-    own = {name: _native(function.__globals__[name]) for name in _globals(function)}
-    own |= {name: _compiled(part) for name, part in bound.keywords}
-    copy = FunctionType(function.__code__, {**function.__globals__, **own}, function.__name__, function.__defaults__)
-    files = [Path(file) for file in sorted(_files(bound))]
-    on_disk = all(file.is_file() for file in files)  # a user's source may come without its file
-    content = b"".join(file.read_bytes() for file in files) if on_disk else b""
-    copy.__qualname__ = f"{_name(bound)}_{hashlib.sha256(content).hexdigest()[:16]}"
-    native: Any = njit(cache=on_disk, nogil=True, error_model="numpy")(copy)
-    if on_disk and native is not copy:  # as it is where NUMBA_DISABLE_JIT is set
+def _compiled(function: BoundFunction) -> Any:
+    made = _without_parameters(*function)
+    own = {name: _native(made.__globals__[name]) for name in global_names(made)}
+    own |= {name: _compiled(part) for name, part in function.keywords}
+    copy = FunctionType(made.__code__, {**made.__globals__, **own}, made.__name__, made.__defaults__)
+    content = function.content()
+    copy.__qualname__ = f"{function.name}_{content}"
+    native: Any = njit(cache=bool(content), nogil=True, error_model="numpy")(copy)
+    if content and native is not copy:  # as it is where NUMBA_DISABLE_JIT is set
         native._cache._cache_file.__class__ = _CheckedFiles  # noqa: SLF001  numba offers no other place for a check
     return native
 
@@ -138,7 +142,7 @@ def _is_whole(data: bytes) -> bool:
     return hashlib.sha256(data[:-_DIGEST_BYTES]).digest() == data[-_DIGEST_BYTES:]
 
 
-def _without_parameters(function: FunctionType, keywords: Sequence[tuple[str, _Bound]]) -> FunctionType:
+def _without_parameters(function: FunctionType, keywords: Sequence[tuple[str, BoundFunction]]) -> FunctionType:
     """Make these parameters global names: numba keeps no code on disk that passes functions on."""
     if not keywords:
         return function
@@ -154,14 +158,6 @@ def _without_parameters(function: FunctionType, keywords: Sequence[tuple[str, _B
     return found
 
 
-def _name(bound: _Bound) -> str:
-    return "_".join([bound.function.__qualname__, *(_name(part) for _, part in bound.keywords)])
-
-
-def _globals(function: FunctionType) -> list[str]:
-    return [name for name in function.__code__.co_names if name in function.__globals__]
-
-
 def _native(value: Any) -> Any:
     if isinstance(value, FunctionType):
         return compiled(value)
@@ -173,65 +169,3 @@ def _native(value: Any) -> Any:
     if is_dataclass(value) and not isinstance(value, type):
         return namedtuple(type(value).__name__, [field.name for field in fields(value)])(*astuple(value))  # noqa: PYI024  its fields are another's
     return value
-
-
-def _files(bound: _Bound) -> set[str]:
-    function, keywords = bound
-    used = [function.__globals__[name] for name in _globals(function)]
-    parts = [*(_bound(value) for value in used if isinstance(value, FunctionType)), *(part for _, part in keywords)]
-    own = {elementary.__file__} if any(value is elementary for value in used) else set[str]()
-    return own.union({function.__code__.co_filename}, *map(_files, parts))
-
-
-_LEAST_RING: Final = 128
-"""Entries of a ring's array: with few lengths there are few types, each of which takes seconds to compile."""
-
-
-def record(part: Any) -> Any:
-    """The fields of a dataclass's instance as a record: numbers, flags, lists of numbers or of rows, and dataclasses.
-
-    A list of numbers has an array with room for a power of two, at least _LEAST_RING.
-    """
-    return records(part)[0]
-
-
-def records(*parts: Any) -> Any:
-    """An array of such records, of instances of one dataclass whose lists are equally long."""
-    return np.array([_values(part) for part in parts], _kind(parts[0])).view(np.recarray)
-
-
-def restore(found: Any, part: Any) -> None:
-    """Put what a record holds back into the dataclass's instance that it was made of, or one like it."""
-    for field in fields(part):
-        value, numbers = getattr(part, field.name), found[field.name]
-        if is_dataclass(value):
-            restore(numbers, value)
-        elif isinstance(value, list):
-            value[:] = numbers.tolist()[: len(value)]
-        else:
-            setattr(part, field.name, type(value)(numbers.item()))
-
-
-def _kind(value: Any) -> np.dtype[Any]:
-    if is_dataclass(value):
-        return np.dtype([(field.name, _kind(getattr(value, field.name))) for field in row_fields(value)], align=True)
-    if isinstance(value, list | tuple):
-        return np.dtype((_kind(np.ravel(value)[0].item()), np.shape(_values(value))))
-    return np.dtype(np.bool_ if isinstance(value, bool) else np.int64 if isinstance(value, int) else np.float64)
-
-
-def _values(value: Any) -> Any:
-    if is_dataclass(value):
-        return tuple(_values(getattr(value, field.name)) for field in row_fields(value))
-    if isinstance(value, list) and not isinstance(value[0], list):
-        room = max(_LEAST_RING, 1 << (len(value) - 1).bit_length())
-        return value + [value[0] * 0] * (room - len(value))
-    return value
-
-
-def row_fields(kind: Any) -> tuple[Field[Any], ...]:
-    """Backwards: numba takes a record that begins as another one for that one, and warns; a subclass's would.
-
-    So would those of two classes that end with the same fields: what many have comes first.
-    """
-    return fields(kind)[::-1]

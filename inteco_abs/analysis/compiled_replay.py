@@ -13,6 +13,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from inteco_abs.analysis.tolerance import Array
+from inteco_abs.bound_function import is_own
 from inteco_abs.control import (
     REFERENCE,
     Controller,
@@ -29,7 +30,8 @@ from inteco_abs.control import (
     set_gain,
 )
 from inteco_abs.format import TICK
-from inteco_abs.machine_code import compile_problem, compiled, is_compiled, is_own, record, records
+from inteco_abs.kept_loop import KeptLoop
+from inteco_abs.records import record, records
 from inteco_abs.signals import BrakeDemand, Command, Phase, Sample
 
 _IDLE, _BRAKING, _STOPPED = Phase.IDLE, Phase.BRAKING, Phase.STOPPED
@@ -74,8 +76,9 @@ class CompiledReplay:
         self._changes = deque(changes)
         self._controller: Any = deepcopy(pipeline.machine.controller) if self._changes else None
         self._records = pipeline_records(pipeline)
-        self._loop = partial(decide_rows, decide=function_of_pipeline(pipeline)) if self._records else None
-        self._may_compile = may_compile
+        self._loop = None
+        if self._records is not None:
+            self._loop = KeptLoop(partial(decide_rows, decide=function_of_pipeline(pipeline)), may_make=may_compile)
         self._newest_ns = 0
 
     def decide(self, logged: Array) -> Array | None:
@@ -99,7 +102,7 @@ class CompiledReplay:
         loop, records = self._loop, self._records
         if loop is None or records is None:
             return False
-        return not len(rows) or run_compiled(loop, (*records, rows), self._may_compile)
+        return not len(rows) or loop.run(*records, rows)
 
     def _change(self, _tick: int, name: str, value: float) -> bool:
         """Change a gain in the records; False where Python has to."""
@@ -137,9 +140,9 @@ class CompiledDemands:
 
     def __init__(self, estimator: Estimator, controller: Controller, dtype: np.dtype[Any], may_compile: bool) -> None:
         self._parts = _control_records(estimator, controller, controller)
-        self._loop = _bound(ask_rows, estimator, controller)
+        asking = _bound(ask_rows, estimator, controller)
+        self._loop = KeptLoop(asking, may_make=may_compile) if is_own(asking) else None
         self._dtype = dtype
-        self._may_compile = may_compile
         self._newest_ns = 0
         self._state = record(AskState())
 
@@ -148,11 +151,11 @@ class CompiledDemands:
 
         None for a user's function, too, as `x**2` is not x*x in Python.
         """
-        if self._parts is None or not is_own(self._loop) or not _ordinary(logged, self._newest_ns):
+        if self._parts is None or self._loop is None or not _ordinary(logged, self._newest_ns):
             return None
         self._newest_ns = int(logged["time_ns"][-1])
         rows = np.zeros(len(logged), self._dtype)
-        return rows if run_compiled(self._loop, (self._parts, self._state, logged, rows), self._may_compile) else None
+        return rows if self._loop.run(self._parts, self._state, logged, rows) else None
 
 
 def _control_records(estimator: Any, controller: Any, as_made: Any) -> ControlRecords | None:
@@ -177,16 +180,6 @@ def _ordinary(logged: Array, earliest_ns: int = 0) -> bool:
 
 def _bound(loop: Function, estimator: Estimator, controller: Controller) -> Function:
     return partial(loop, estimate=function_of(estimator), control=function_of(controller))
-
-
-def run_compiled(loop: Function, arguments: tuple[Any, ...], may_compile: bool) -> bool:
-    """Run a loop of machine code; False if that is missing, cannot be made, or leaves the rest to Python."""
-    if not (may_compile or is_compiled(loop)) or compile_problem(loop, arguments):
-        return False
-    try:
-        return bool(compiled(loop)(*arguments))
-    except ValueError:
-        return False
 
 
 def decide_rows(parts: ControlRecords, sequence: SequenceRecords, rows: Any, decide: Function) -> bool:

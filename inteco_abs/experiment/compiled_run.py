@@ -8,18 +8,20 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from inteco_abs.analysis.compiled_replay import function_of_pipeline, pipeline_records, run_compiled
+from inteco_abs.analysis.compiled_replay import function_of_pipeline, pipeline_records
 from inteco_abs.boards import Board
 from inteco_abs.boards.frame_board import FrameBoard
 from inteco_abs.boards.frame_exchange import put_command, take_answer
+from inteco_abs.bound_function import is_own
 from inteco_abs.control import Function, Pipeline
 from inteco_abs.format import TICK, TRUTH
-from inteco_abs.machine_code import is_own, record, restore
+from inteco_abs.kept_loop import KeptLoop
 from inteco_abs.mock_board import Device, FrontEnd, give_counts, take_command
-from inteco_abs.montecarlo.arrays import STATE, rig_rows
+from inteco_abs.records import record, restore
 from inteco_abs.rig.adhesion_curve import road_adhesion
 from inteco_abs.rig.model import true_slip
 from inteco_abs.rig.plant import move_on, read_encoders
+from inteco_abs.rig_rows import STATE, rig_rows
 from inteco_abs.signals import Phase
 
 _UNDER_WAY: Final = 4096
@@ -70,13 +72,13 @@ class CompiledRun:
         self._board, self._pipeline = board, pipeline
         self._front_end: Any = front_end  # it has `answer_parts` and `resume`
         self._exchange, self._answer = host[1], answer[1]
-        self._period_ns, self._may_compile = period_ns, may_compile
+        self._period_ns = period_ns
         plant = device.plant
         k = rig_rows([replace(plant.constants, noise_seed=terminals.noise_seed)])[0]
         state = np.array([astuple(plant)[::-1]], STATE).view(np.recarray)[0]
         rig = RigRecords(k, state, *(np.tile(each, _UNDER_WAY // len(each)) for each in plant.commands))
         self._state: tuple[Any, ...] = (*path, rig, WireRecords(*map(record, (*host, *answer))))
-        self._loop = partial(run_ticks, decide=function_of_pipeline(pipeline))
+        self._loop = KeptLoop(partial(run_ticks, decide=function_of_pipeline(pipeline)), may_make=may_compile)
 
     def run(self, most: int) -> tuple[bytes, bytes]:
         """Ticks and true states of up to `most` ticks, packed; none where Python has to run them."""
@@ -84,8 +86,7 @@ class CompiledRun:
         before = self._state
         self._state = tuple(type(each)(*map(_copied, each)) for each in before)
         ended = np.zeros(1, np.int64)
-        arguments = (*self._state, self._period_ns, TICK.array(ticks), TRUTH.array(truths), ended)
-        if not run_compiled(self._loop, arguments, self._may_compile):
+        if not self._loop.run(*self._state, self._period_ns, TICK.array(ticks), TRUTH.array(truths), ended):
             self._state = before
             return b"", b""
         return bytes(ticks[: ended[0] * TICK.size]), bytes(truths[: ended[0] * TRUTH.size])

@@ -55,8 +55,10 @@ from inteco_abs.warm_up import CompiledLoops, paying_loops
 from inteco_abs.wire import Recording, record_wire
 
 _SLICE_TICKS: Final = 1000
-_COMPILED_TICKS: Final = 8000
-"""Ticks of a slice that is compiled, in 10 ms."""
+_COMPILED_TICKS: Final = 4000
+"""Ticks of a slice that is compiled, in 5 ms."""
+_LONGEST_RING_S: Final = 10.0
+"""Virtual time that the ring holds at most, more than a stop, should no disk take it: it waits for the disk."""
 _PATIENCE_S: Final = 1.0
 _REPLAYS: Final = 4
 """Ticks that a replay decides on in Python in the time of one tick here."""
@@ -74,7 +76,8 @@ class VirtualRun:
         self._host = FaultyHost(self._schedule, plan.out, lambda name: os.getpid() if name == "recorder" else 0)
         self._pipeline = pipeline
         self._session_id = str(uuid.uuid4())
-        capacity = ring_ticks(config) + 2 * _SLICE_TICKS
+        longest = round(_LONGEST_RING_S * config.loop.rate_hz)
+        capacity = min(ring_ticks(config), longest) + 2 * _SLICE_TICKS
         self._ring = TickRing(pack_tick, TICK.size, capacity)
         self._truths = TickRing(TRUTH.pack_into, TRUTH.size, capacity)
         self._window = Window(self._ring.reader(), self._truths.reader())
@@ -84,6 +87,8 @@ class VirtualRun:
         self._changes = GainChanges(config, pipeline, gains, self._made.append)
         self._compile: Callable[[CompiledLoops], Any] | None = None
         self._compiled: Any = None  # the CompiledRun that has the state of board, rig and pipeline now
+        self._loops: CompiledLoops | None = None
+        self._useless: CompiledLoops | None = None
 
     def run(self, progress: RunProgress | None, screen: Screen) -> RunResult:
         plan = self._plan
@@ -175,15 +180,15 @@ class VirtualRun:
         if not self._changes.over:
             return loop.run(_SLICE_TICKS)
         loops = self._paying_loops() if self._compiled is None and self._compile is not None else None
-        if loops is not None:
+        if loops not in {None, self._useless}:
             if not self._ring.written and loop.run(1):  # compiled ticks follow a good exchange
                 return True
-            self._compiled = self._compile and self._compile(loops)
+            self._compiled, self._loops = self._compile and self._compile(loops), loops
         if self._compiled is not None and not self._interrupts.stop.requested:
             ticks, truths = self._compiled.run(min(_COMPILED_TICKS, self._window.room - _SLICE_TICKS))
             if ticks:
                 return self._take(ticks, truths)
-            self._compile = None
+            self._useless = self._loops  # the code may be missing: it is made when that pays
         self._go_on_in_python()
         return loop.run(_SLICE_TICKS)
 

@@ -11,10 +11,10 @@ import numpy as np
 from inteco_abs.identification.parameters import FULL_NM, Priors, torque_name
 from inteco_abs.identification.segments import Floats, Segment, SegmentKind
 from inteco_abs.machine_code import compiled
-from inteco_abs.montecarlo.arrays import rig_rows, state_rows
 from inteco_abs.rig import DriveMotor
 from inteco_abs.rig.plant import move_on
 from inteco_abs.rig.state import Constants
+from inteco_abs.rig_rows import rig_rows, state_rows
 
 _STEP_S: Final[dict[SegmentKind, float]] = {"run-up": 0.005, "coast-down": 0.005, "braking": 0.001}
 """Step of the integration."""

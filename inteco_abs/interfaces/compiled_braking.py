@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from inteco_abs.config import GuardConfig, RigConfig
 from inteco_abs.control import Function, config_of_stop
 from inteco_abs.interfaces.braking import Clock, Parts, act, make_path, make_rig, observe, run_up
-from inteco_abs.machine_code import compiled, record
-from inteco_abs.montecarlo.arrays import rig_rows, state_rows
+from inteco_abs.machine_code import compiled
+from inteco_abs.records import record
 from inteco_abs.rig import RigVariation
+from inteco_abs.rig_rows import rig_rows, state_rows
 
 Places = NDArray[np.int64]
 Floats = NDArray[np.float64]

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inteco_abs.montecarlo import kernel
-from inteco_abs.montecarlo.arrays import rig_rows, state_rows
 from inteco_abs.montecarlo.kernel import Floats
 from inteco_abs.rig import DriveMotor, RigVariation
 from inteco_abs.rig.state import Constants
+from inteco_abs.rig_rows import rig_rows, state_rows
 
 Counts = NDArray[np.int64]
 

@@ -19,7 +19,7 @@ from inteco_abs.control import (
     function_of,
     reference_function,
 )
-from inteco_abs.machine_code import record
+from inteco_abs.records import record
 from inteco_abs.rig.model import true_slip
 from inteco_abs.rig.plant import move_on, read_encoders
 from inteco_abs.sessions import STANDSTILL_RAD_S

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from inteco_abs.montecarlo.arrays import Rows
+from inteco_abs.rig_rows import Rows
 from inteco_abs.sessions import FALL_BACKS, Array
 
 METRICS: Final = (

@@ -23,7 +23,7 @@ USERS_OWN_FILE = {"plugins/file.py", "course/student.py"}
 to the course in a process that has given up its rights."""
 OWN_SOURCE = {"c_code.py", "machine_code.py"}
 """Which run parts of the source of functions that are imported already."""
-FROM_ITS_PARENT = {"realtime/processes/controller.py"}
+FROM_ITS_PARENT = {"kept_loop.py", "realtime/processes/controller.py"}
 """Which unpickles what the process that started it sends over the pipe that it made for that, and nothing else."""
 UNPICKLES = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "yaml"}
 

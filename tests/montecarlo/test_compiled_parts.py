@@ -18,7 +18,8 @@ from inteco_abs.control import (
     make_estimator,
     preferred_estimator,
 )
-from inteco_abs.machine_code import compiled, record
+from inteco_abs.machine_code import compiled
+from inteco_abs.records import record
 from inteco_abs.rig import Encoder, Plant, draw
 from inteco_abs.signals import Command, Estimate, Phase, Prediction, Sample
 

@@ -19,8 +19,9 @@ from ensemble_parts import (
 from inteco_abs.config import load_config
 from inteco_abs.control import CONTROLLERS, ESTIMATORS, Guard, PhaseMachine, control_check, function_of
 from inteco_abs.errors import ConfigError
-from inteco_abs.machine_code import compiled, record
+from inteco_abs.machine_code import compiled
 from inteco_abs.montecarlo import ConfiguredPolicy, run_stops
+from inteco_abs.records import record
 from inteco_abs.rig import POPULATIONS, draw
 from inteco_abs.signals import BoardFlags, Phase, Reason
 

@@ -134,14 +134,14 @@ def test_python_can_go_on_at_any_tick_with_the_same_bits(both, monkeypatch, slic
 
 def test_a_number_that_is_not_finite_is_left_to_python_with_the_state_before(both, monkeypatch):
     monkeypatch.setattr(virtual_run, "_COMPILED_TICKS", 500)
-    run_ticks = compiled_run.run_compiled
+    run_loop = compiled_run.KeptLoop.run
     asked = []
 
-    def failing(loop, arguments, may_compile):
-        asked.append(run_ticks(loop, arguments, may_compile))
+    def failing(self, *arguments):
+        asked.append(run_loop(self, *arguments))
         return asked[-1] and len(asked) < 3  # what has been computed counts for nothing
 
-    monkeypatch.setattr(compiled_run, "run_compiled", failing)
+    monkeypatch.setattr(compiled_run.KeptLoop, "run", failing)
     assert_same(both)
     assert asked == [True, True, True]
 
@@ -155,12 +155,12 @@ def test_frames_that_are_changed_or_kept_go_through_python(both, options):
 
 def test_without_numba_python_runs(both, monkeypatch):
     for name in (
-        "inteco_abs.machine_code",
+        "inteco_abs.kept_loop",
         "inteco_abs.experiment.compiled_run",
         "inteco_abs.analysis.compiled_replay",
     ):
         monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "numba", None)
+    monkeypatch.setitem(sys.modules, "llvmlite", None)
     assert_same(both, compiled=False)
 
 

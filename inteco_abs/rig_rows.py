@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from inteco_abs.machine_code import row_fields
+from inteco_abs.records import row_fields
 from inteco_abs.rig import EncoderVariation
 from inteco_abs.rig.brake_actuator import settled
 from inteco_abs.rig.state import Constants, State

@@ -1,0 +1,98 @@
+"""Loops of machine code that are kept on disk as object files."""
+
+import importlib
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from inteco_abs import kept_loop
+from inteco_abs.kept_loop import KeptLoop
+from inteco_abs.records import record
+
+ADDING = "def add_rows(parts, gain, rows):\n    for i in range(rows.size):\n        rows[i].y = rows[i].x * gain + "
+ROWS = np.dtype([("x", np.float64), ("y", np.float64)])
+
+
+@dataclass
+class Offset:
+    offset: float = 1.0
+    calls: int = 0
+
+
+class Parts(NamedTuple):
+    offset: object
+
+
+@pytest.fixture
+def added(tmp_path, monkeypatch):
+    """What a loop of a file has added to three rows in a process without such code, or None if it did not."""
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kept"))
+
+    def run(added, *, may_make=False, result="True"):
+        text = f"{ADDING}{added}\n    parts.offset.calls += 1\n    return {result}\n"
+        (tmp_path / "adding_file.py").write_text(text)
+        monkeypatch.delitem(sys.modules, "adding_file", raising=False)
+        importlib.invalidate_caches()
+        monkeypatch.setattr(kept_loop, "_LOADED", {})
+        loop = KeptLoop(importlib.import_module("adding_file").add_rows, may_make=may_make)
+        offset, rows = record(Offset()), np.array([(1.0, 0.0), (2.0, 0.0), (3.0, 0.0)], ROWS).view(np.recarray)
+        done = [loop.run(Parts(offset), 10.0, rows) for _ in range(2)]
+        assert done[0] is done[1]
+        assert offset.calls == 2 or not done[0]
+        return rows.y.tolist() if done[0] else None
+
+    return run
+
+
+def test_a_loop_is_loaded_until_its_source_changes(added):
+    assert added("parts.offset.offset") is None
+    assert added("parts.offset.offset", may_make=True) == [11.0, 21.0, 31.0]
+    assert added("parts.offset.offset") == [11.0, 21.0, 31.0]
+    assert added("parts.offset.offset * 2.0") is None
+
+
+def test_a_loop_that_leaves_the_rest_to_python_or_cannot_be_made_says_so(added):
+    assert added("1.0", may_make=True, result="False") is None
+    assert added("1.0", may_make=True, result="1.0 / parts.offset.nothing") is None
+    assert added("1.0\n    if gain > 0.0:\n        raise ValueError", may_make=True) is None
+
+
+def test_a_damaged_loop_is_made_once_more(added, tmp_path):
+    assert added("1.0", may_make=True) is not None
+    [file] = (tmp_path / "kept").glob("*.o")
+    whole = file.read_bytes()
+    for damaged in (whole[:200] + bytes([whole[200] ^ 4]) + whole[201:], whole[:-20], b""):
+        file.write_bytes(damaged)
+        assert added("1.0") is None
+    assert added("1.0", may_make=True) is not None
+    assert added("1.0") is not None
+
+
+def test_a_folder_that_takes_no_file_costs_time_only(added, tmp_path):
+    (tmp_path / "kept").write_text("no folder")
+    assert added("1.0", may_make=True) is not None
+    assert added("1.0") is None
+
+
+@pytest.mark.long
+def test_a_loop_of_the_package_is_made_in_a_process_of_its_own_and_runs_without_numba(tmp_path):
+    code = """
+import sys, warnings
+from inteco_abs import run_stop, warm_up
+warm_up.WORTH_LOADING = warm_up.WORTH_COMPILING = 0
+print(run_stop(out=sys.argv[1]).card['payload_sha256'], "inteco_abs.kept_loop" in sys.modules, "numba" in sys.modules)
+"""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    lines = set()
+    for name in ("made", "loaded"):
+        command = [sys.executable, "-P", "-c", code, str(tmp_path / f"{name}.mcap")]
+        lines.add(subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout)
+    assert len(lines) == 1
+    assert lines.pop().split()[1:] == ["True", "False"]
+    assert [file.suffix for file in tmp_path.glob("run_ticks*")] == [".o"]
