@@ -2,8 +2,8 @@
 
 tools/check sets up the environment and runs this file in it: python tools/checks.py [--long].
 
-Tests that keep real time, or wait for a process, can fail on a computer that is busy with the other tests. Up to
-`MOST_TRIED_AGAIN` failed tests run once more when nothing else does; the check passes only if they pass then, and names
+Tests that keep real time, or wait for a process, can fail on a computer that is busy with the other tests. A few failed
+tests, `Check.most_again`, run once more when nothing else does; the check passes only if they pass then, and names
 them in its last lines. More failures than that are final, and so is what no busy computer causes: an
 error of collection or of a teardown, a test that ends its process.
 """
@@ -22,9 +22,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 KEPT = Path(".pytest_cache/v")
-MOST_TRIED_AGAIN = 5
-WORKERS = str(len(os.sched_getaffinity(0)) + 1)
-"""One more than cores, as tests that wait for processes leave theirs idle."""
+CORES = len(os.sched_getaffinity(0))
 NICENESS = 19
 TESTS_FAILED = 1
 """Exit code of pytest when tests ran and some of them failed."""
@@ -40,10 +38,15 @@ class Part(NamedTuple):
 
 
 class Check:
-    """Runs parts and keeps how they ended."""
+    """Runs parts and keeps how they ended.
 
-    def __init__(self, *pytest: str) -> None:
+    A quick check has one worker more than cores, as tests that wait for processes leave theirs idle. A long one has
+    more tests that brake in real time, and time.
+    """
+
+    def __init__(self, *pytest: str, long: bool = False) -> None:
         self.pytest = (*pytest, "-m", "pytest", "-q")
+        self.workers, self.most_again = (CORES, 20) if long else (CORES + 1, 5)
         self.start_s = time.monotonic()
         self.parts: list[Part] = []
         self.unsteady: list[str] = []
@@ -69,11 +72,11 @@ class Check:
     def tests(self, name: str, selection: str, *, others: Future[None]) -> None:
         """Run the selected tests on all cores, and those that failed again when the `others` have ended."""
         # tests of one group stay on one worker: real-time runs would be each other's load
-        parallel = ("-n", WORKERS, "--dist", "loadgroup", "--cache-clear")
+        parallel = ("-n", str(self.workers), "--dist", "loadgroup", "--cache-clear")
         code = self.run(name, *self.pytest, "-m", selection, *parallel)
         others.result()  # raises what kept them from running
         failed = unsteady_tests() if code == TESTS_FAILED else []
-        if not 0 < len(failed) <= MOST_TRIED_AGAIN:
+        if not 0 < len(failed) <= self.most_again:
             return
         if self.run(f"{name}, failed ones alone", *self.pytest, "-m", selection, "-n", "0", *failed) == 0:
             self.parts = [part._replace(result="passed") if part.name == name else part for part in self.parts]
@@ -104,7 +107,7 @@ def unsteady_tests(kept: Path = KEPT) -> list[str]:
 def main(arguments: list[str]) -> int:
     long = arguments == ["--long"]
     # coverage measures the tests, as mutation does: its tracer takes a fifth of their time, and changes little by a day
-    check = Check(*(["coverage", "run"] if long else ["python"]))
+    check = Check(*(["coverage", "run"] if long else ["python"]), long=long)
 
     def in_the_background() -> None:
         check.run("format", "ruff", "format", "--check", "--quiet", ".", background=True)
