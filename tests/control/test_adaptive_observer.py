@@ -102,6 +102,15 @@ def test_lag_of_a_quick_brake_shows_in_how_fast_the_wheel_leaves_rolling(rolling
     assert seen[-1].brake_dead_time_s == pytest.approx(0.005, abs=0.003)
 
 
+@pytest.mark.parametrize(("lag_s", "most"), [(1e-6, 1.2), (0.005, 1.6)])
+def test_a_quick_brake_is_expected_to_release_quickly(rolling, lag_s, most):
+    quick = replace(RigVariation().parameters, c31=1.0 / lag_s)
+    run = driven(rolling, RigVariation(quick, brake_dead_time_s=0.005, brake_map="measured"), speed_rad_s=120.0)
+    seen = [run.tick(lambda _seen: Command(0.0, 1.0)).outlook for _ in range(70)]
+    assert seen[10].brake_release_ratio == pytest.approx(1.9, abs=0.1)
+    assert 1.0 <= seen[-1].brake_release_ratio < most
+
+
 def test_a_brake_without_dead_time_is_found_by_an_onset_that_comes_early(rolling):
     run = driven(rolling, RigVariation(brake_dead_time_s=0.0, brake_map="measured"), speed_rad_s=120.0)
     for _ in range(160):

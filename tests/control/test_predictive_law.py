@@ -94,6 +94,15 @@ def test_slip_slows_at_most_half_as_hard_as_a_slow_release_allows(slip, road_spe
     assert unlimited == demand_at(expected._replace(slowest_release_ratio=1.0))
 
 
+@given(st.floats(0.04, 0.12), st.floats(20.0, 245.0), st.floats(1.1, 4.0))
+def test_slip_slows_the_less_hard_the_slower_the_brake_releases(slip, road_speed, ratio):
+    a = deceleration(road_speed) / ratio
+    rate = slip_rate(slip, road_speed, demand_at(outlook(slip, road_speed, brake_release_ratio=ratio)).torque_nm)
+    error = 0.2 - slip
+    far = math.sqrt(2.0 * a * max(error - a / (2.0 * K**2), 0.0))
+    assert rate == pytest.approx(K * error if error <= a / K**2 else far, rel=1e-6)
+
+
 @given(SPEEDS, st.sampled_from([-1.0, 1.0]))
 def test_the_branches_of_the_law_meet_in_value_and_slope(road_speed, side):
     edge = deceleration(road_speed) / K**2
