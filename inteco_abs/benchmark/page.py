@@ -186,8 +186,9 @@ def _draw_factors(found: Mapping[str, Any], factors: Sequence[str], path: Path) 
 
 _STYLE: Final = (
     "body{font:15px/1.5 sans-serif;max-width:1300px;margin:2em auto;padding:0 1em}table{border-collapse:collapse;"
-    "font-size:13px;display:block;overflow-x:auto}td,th{padding:3px 8px;border-bottom:1px solid #ccc;text-align:right;"
-    "white-space:nowrap}td:first-child,th:first-child{text-align:left}img{max-width:100%}"
+    "font-size:13px;display:block;overflow-x:auto}td,th{padding:3px 6px;border-bottom:1px solid #ccc;text-align:right;"
+    "white-space:nowrap}th{white-space:normal;vertical-align:bottom}td:first-child,th:first-child{text-align:left}"
+    "img{max-width:100%}"
 )
 
 
