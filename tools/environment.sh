@@ -46,16 +46,31 @@ show_progress() {
     '
 }
 
-# Runs pip with these arguments; its output is kept in $venv/set-up.log, and shown if it fails.
+# Runs pip with these arguments.
 install() {
-    log=$venv/set-up.log
-    : >"$log"
     # what is compiled is what is used, when it is: half of the time goes into the rest
+    "$venv/bin/python" -m pip install --disable-pip-version-check --no-input --no-compile --no-deps --retries 2 "$@" 2>&1 ||
+        : >"$venv/pip-failed"
+}
+
+# Installs the pinned versions by two pips at once, half of them each: one uses one core.
+install_pinned() {
+    for half in 0 1; do
+        awk "/^[a-z0-9].*==/ { packages += 1 } packages % 2 == $half" "tools/$environment.lock" >"$venv/half-$half.lock"
+        install --require-hashes --only-binary :all: -r "$venv/half-$half.lock" &
+    done
+    wait
+}
+
+# Installs everything; the output is kept in $venv/set-up.log, and shown if a part fails.
+install_all() {
+    log=$venv/set-up.log
+    rm -f "$venv/pip-failed"
     {
-        "$venv/bin/python" -m pip install --disable-pip-version-check --no-input --no-compile --retries 2 "$@" 2>&1
-        echo $? >"$venv/pip-ended"
+        install_pinned
+        [ -e "$venv/pip-failed" ] || install --no-build-isolation --no-index --editable .
     } | tee "$log" | show_progress "$(grep -c '^[a-z0-9].*==' "tools/$environment.lock")"
-    [ "$(cat "$venv/pip-ended")" = 0 ] && return
+    [ -e "$venv/pip-failed" ] || return 0
     grep -v "^Collecting\|^  *Using cached\|^  *Downloading\|^Requirement already" "$log" | tail -n 15 >&2
     # pip tries again, then says that there is no such version
     if grep -q "Retrying\|[Cc]onnection\|resolve\|[Tt]imed out\|ProxyError" "$log"; then
@@ -98,8 +113,7 @@ if [ "$(cat "$stamp" 2>/dev/null)" != "$wanted" ] || ! "$venv/bin/python" -c '' 
         echo "setting up $venv (once; later runs start at once)" >&2
         "$python" -m venv "$venv" || exit 1
     fi
-    install --require-hashes --only-binary :all: -r "tools/$environment.lock" || exit 1
-    install --no-deps --no-build-isolation --no-index --editable . || exit 1
+    install_all || exit 1
     echo "$wanted" >"$stamp"
     [ "$environment" = check ] || echo "done: $venv/bin/inteco-abs is the command, and \`. $venv/bin/activate\` makes" \
         "it inteco-abs, as pages and messages call it" >&2
