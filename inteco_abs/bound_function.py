@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import is_dataclass
+from enum import Enum
 from functools import partial
 from pathlib import Path
 from types import FunctionType
@@ -25,19 +27,45 @@ class BoundFunction(NamedTuple):
         """Its qualified name, and theirs."""
         return "_".join([self.function.__qualname__, *(part.name for _, part in self.keywords)])
 
+    def functions(self) -> set[BoundFunction]:
+        """Itself, those that it gets, and all that these call."""
+        found, waiting = {self}, [self]
+        while waiting:
+            part = waiting.pop()
+            called = [bound(value) for value in part.globals() if isinstance(value, FunctionType)]
+            new = {*called, *dict(part.keywords).values()} - found
+            found |= new
+            waiting += new
+        return found
+
+    def globals(self) -> list[Any]:
+        """What it uses of its module."""
+        return [self.function.__globals__[name] for name in global_names(self.function)]
+
     def files(self) -> set[str]:
         """All files of this package or of a user that it comes from, with those of the functions that it calls."""
-        used = [self.function.__globals__[name] for name in global_names(self.function)]
-        parts = [*(bound(value) for value in used if isinstance(value, FunctionType)), *dict(self.keywords).values()]
-        own = {elementary.__file__} if any(value is elementary for value in used) else set[str]()
-        return own.union({self.function.__code__.co_filename}, *(part.files() for part in parts))
+        functions = self.functions()
+        own = {elementary.__file__} if any(elementary in part.globals() for part in functions) else set[str]()
+        return own | {part.function.__code__.co_filename for part in functions}
 
     def content(self) -> str:
-        """Digest of all these files; empty where one is missing: a user's source may come without its file."""
+        """Digest of all these files, and of constants, which may be another file's.
+
+        Empty where a file is missing: a user's source may come without its own.
+        """
         files = [Path(file) for file in sorted(self.files())]
         if not all(file.is_file() for file in files):
             return ""
-        return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
+        constants = {_constant(value) for part in self.functions() for value in part.globals()}
+        text = b"".join(file.read_bytes() for file in files) + "\n".join(sorted(constants)).encode()
+        return hashlib.sha256(text).hexdigest()[:16]
+
+
+def _constant(value: Any) -> str:
+    """A number, text or tuple, a dataclass's values, an enumeration's, or the fields of a tuple, as text."""
+    if isinstance(value, type):
+        return repr(list(value)) if issubclass(value, Enum) else repr(getattr(value, "_fields", ""))
+    return repr(value) if isinstance(value, int | float | str | tuple) or is_dataclass(value) else ""
 
 
 def bound(function: Any) -> BoundFunction:

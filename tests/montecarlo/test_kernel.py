@@ -35,6 +35,14 @@ def test_machine_code_is_kept_until_any_file_that_it_comes_from_changes(result_o
     assert result_of("def inner(x):\n    return x + 10.0\n") == (12.0, False)
 
 
+def test_machine_code_is_made_again_when_a_constant_of_another_file_changes(result_of, tmp_path, monkeypatch):
+    inner = "from constant_file import ADDED\n\ndef inner(x):\n    return x + ADDED\n"
+    for added, from_disk in ((1.0, False), (1.0, True), (10.0, False)):
+        (tmp_path / "constant_file.py").write_text(f"ADDED = {added}\n")
+        monkeypatch.delitem(sys.modules, "constant_file", raising=False)
+        assert result_of(inner) == (2.0 + added, from_disk)
+
+
 @pytest.mark.parametrize("suffix", ["nbi", "nbc"])
 def test_damaged_machine_code_is_made_once_more(result_of, tmp_path, suffix):
     inner = "def inner(x):\n    return x + 1.0\n"
