@@ -137,7 +137,9 @@ def _make(function: Callable[..., bool], arguments: tuple[Any, ...], file: Path)
     if "numba" in sys.modules or not is_own(function):
         return make(function, arguments, file)
     command = [sys.executable, "-P", "-m", __name__, str(file)]
-    subprocess.run(command, input=pickle.dumps((function, arguments)), check=False)  # noqa: S603  our own module
+    given = pickle.dumps((function, arguments))
+    # a Ctrl-C ends it, too, and Python goes on
+    subprocess.run(command, input=given, stderr=subprocess.DEVNULL, check=False)  # noqa: S603  our own module
     return _read(file)
 
 
