@@ -41,12 +41,12 @@ class Check:
     """Runs parts and keeps how they ended.
 
     A quick check has one worker more than cores, as tests that wait for processes leave theirs idle. A long one has
-    more tests that brake in real time, and time.
+    hundreds of runs in real time, each of which the other tests may make late, and time to try them again.
     """
 
     def __init__(self, *pytest: str, long: bool = False) -> None:
         self.pytest = (*pytest, "-m", "pytest", "-q")
-        self.workers, self.most_again = (CORES, 20) if long else (CORES + 1, 5)
+        self.workers, self.most_again = (CORES, 100) if long else (CORES + 1, 5)
         self.start_s = time.monotonic()
         self.parts: list[Part] = []
         self.unsteady: list[str] = []
