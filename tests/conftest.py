@@ -18,6 +18,7 @@ from typing import NamedTuple
 import pytest
 from chromium import chromium
 from hypothesis import HealthCheck, Phase, settings
+from xdist.scheduler import LoadGroupScheduling
 
 from inteco_abs.warm_up import asked_for
 
@@ -29,6 +30,21 @@ settings.register_profile(  # a failure is all that tools/mutate asks for, and t
     "mutation", deadline=None, database=None, derandomize=True, phases=[Phase.explicit, Phase.generate]
 )
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
+
+
+class FilesTogether(LoadGroupScheduling):
+    """A file's tests stay on one worker, which makes their fixtures once; those of an xdist_group are with the group.
+
+    The scheduler counts all units of work after each test: ten thousand of single tests would take it half a minute.
+    """
+
+    def _split_scope(self, nodeid):
+        return super()._split_scope(nodeid).partition("::")[0]
+
+
+@pytest.hookimpl(optionalhook=True)  # without workers
+def pytest_xdist_make_scheduler(config, log):
+    return FilesTogether(config, log)
 
 
 _final = list[str]()
