@@ -46,29 +46,20 @@ show_progress() {
     '
 }
 
-# Runs pip with these arguments.
+# Installs everything; the output is kept in $venv/set-up.log, and shown if a part fails.
 install() {
+    log=$venv/set-up.log
     # what is compiled is what is used, when it is: half of the time goes into the rest
-    "$venv/bin/python" -m pip install --disable-pip-version-check --no-input --no-compile --no-deps --retries 2 "$@" 2>&1 ||
-        : >"$venv/pip-failed"
-}
-
-# Installs the pinned versions by two pips at once, half of them each: one uses one core.
-install_pinned() {
+    pip="$venv/bin/python -m pip install --disable-pip-version-check --no-input --no-compile --no-deps --retries 2"
+    rm -f "$venv/pip-failed"
     for half in 0 1; do
         awk "/^[a-z0-9].*==/ { packages += 1 } packages % 2 == $half" "tools/$environment.lock" >"$venv/half-$half.lock"
-        install --require-hashes --only-binary :all: -r "$venv/half-$half.lock" &
     done
-    wait
-}
-
-# Installs everything; the output is kept in $venv/set-up.log, and shown if a part fails.
-install_all() {
-    log=$venv/set-up.log
-    rm -f "$venv/pip-failed"
+    # a pip works on one core, so two install half of the packages each; in the shell's background Ctrl-C would miss them
+    # shellcheck disable=SC2086  one word for each option
     {
-        install_pinned
-        [ -e "$venv/pip-failed" ] || install --no-build-isolation --no-index --editable .
+        printf '%s\n' 0 1 | xargs -P 2 -I '{}' $pip --require-hashes --only-binary :all: -r "$venv/half-{}.lock" 2>&1 &&
+            $pip --no-build-isolation --no-index --editable . 2>&1 || : >"$venv/pip-failed"
     } | tee "$log" | show_progress "$(grep -c '^[a-z0-9].*==' "tools/$environment.lock")"
     [ -e "$venv/pip-failed" ] || return 0
     grep -v "^Collecting\|^  *Using cached\|^  *Downloading\|^Requirement already" "$log" | tail -n 15 >&2
@@ -113,7 +104,7 @@ if [ "$(cat "$stamp" 2>/dev/null)" != "$wanted" ] || ! "$venv/bin/python" -c '' 
         echo "setting up $venv (once; later runs start at once)" >&2
         "$python" -m venv "$venv" || exit 1
     fi
-    install_all || exit 1
+    install || exit 1
     echo "$wanted" >"$stamp"
     [ "$environment" = check ] || echo "done: $venv/bin/inteco-abs is the command, and \`. $venv/bin/activate\` makes" \
         "it inteco-abs, as pages and messages call it" >&2
