@@ -141,7 +141,8 @@ class CompiledDemands:
     def __init__(self, estimator: Estimator, controller: Controller, dtype: np.dtype[Any], may_compile: bool) -> None:
         self._parts = _control_records(estimator, controller, controller)
         asking = _bound(ask_rows, estimator, controller)
-        self._loop = KeptLoop(asking, may_make=may_compile) if is_own(asking) else None
+        usable = self._parts is not None and is_own(asking)
+        self._loop = KeptLoop(asking, may_make=may_compile) if usable else None
         self._dtype = dtype
         self._newest_ns = 0
         self._state = record(AskState())

@@ -201,12 +201,16 @@ def law_of(law, *, a_function=True):
         (without, False),
     ],
 )
-def test_a_users_controller_has_the_same_replay(run, law, a_function):
+def test_a_users_controller_has_the_same_replay_and_what_if(run, law, a_function):
     controllers = law_of(law, a_function=a_function)
     session = run("controller.name=own", controllers=controllers).session
     found = [replay_session(session, pipeline_of(session, controllers), compiled=way) for way in (True, False)]
     assert found[0] == found[1]
     assert (found[0].differing, session.ticks["phase"][-1]) == (0, Phase.FAULT if law is dividing else Phase.DONE)
+    if law is not dividing:  # which a what-if reports
+        other = alternative(session, (), controllers)
+        compiled, python = (what_if(session, other, controllers, compiled=way) for way in (True, False))
+        assert compiled.requests.tobytes() == python.requests.tobytes()
 
 
 @pytest.mark.parametrize("settings", [(), ("controller.gains.Mk=5.0",), ("estimator.name=moving-window",)])
