@@ -158,6 +158,9 @@ def _report(
     for why, names in missing.items():
         others = f" and {len(names) - _MOST_NAMED} others" if len(names) > _MOST_NAMED else ""
         say(f"inteco-abs: not identified: {', '.join(names[:_MOST_NAMED])}{others}: {why}", err=True)
+    if missing:
+        kept = "" if law is None else "; the controller's model has the configuration's values in their place"
+        say(f"inteco-abs: identify --plan with these sessions records what would help most{kept}", err=True)
     if not found.fit.converged:
         say("inteco-abs: the fit did not converge: look at the residuals (--figure)", err=True)
 

@@ -184,6 +184,7 @@ def test_a_coast_down_alone_leaves_the_brake_unknown_which_is_named(sessions, ca
     assert {"brake_lag", "brake_dead_time", "mu(0.2)"} <= missing
     assert "d" not in missing
     assert "not identified: brake_lag, brake_dead_time, brake_fade: no session has brake steps" in printed.err
+    assert "identify --plan with these sessions records what would help most\n" in printed.err
     assert not {"c31", "w4", "b1"} & tomllib.loads(out.read_text())["model"]["identified"].keys()
 
 
