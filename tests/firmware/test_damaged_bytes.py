@@ -9,7 +9,7 @@ from test_lets_go import CHALLENGE_MASK, FULL, Line
 
 from firmware_protocol.open_board import ARM, CLEAR, COMMAND, CONFIGURE, DISARM, QUERY, Receiver, State
 
-pytestmark = [pytest.mark.long, pytest.mark.xdist_group("emulated board")]
+pytestmark = [pytest.mark.long, pytest.mark.xdist_group("real time")]
 
 BYTES = 200_000
 BURST_BITS = 16

@@ -29,7 +29,7 @@ from firmware_protocol.open_board import (
     Trip,
 )
 
-pytestmark = [pytest.mark.long, pytest.mark.xdist_group("emulated board")]
+pytestmark = [pytest.mark.long, pytest.mark.xdist_group("real time")]
 
 TRIALS = 200
 PICO_TRIALS = 800

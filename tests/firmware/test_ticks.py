@@ -9,7 +9,7 @@ from test_lets_go import Line, armed, say
 
 from firmware_protocol.open_board import COMMAND, REPORT
 
-pytestmark = [pytest.mark.long, pytest.mark.xdist_group("emulated board")]
+pytestmark = [pytest.mark.long, pytest.mark.xdist_group("real time")]
 
 TICKS = 4000
 WATCHDOG_MS = 100
