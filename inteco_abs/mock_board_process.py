@@ -70,7 +70,9 @@ def main(path: str) -> int:
     schedule = Schedule(parse_faults(job.faults), time.monotonic_ns, job.seed)
     standstill = _Standstill(memory)
     front_end = _front_end(job, standstill, schedule, observe)
-    server = SocketServer(front_end, str(memory.socket))
+    new = memory.socket.with_suffix(".new")
+    server = SocketServer(front_end, str(new))
+    new.rename(memory.socket)  # it listens: who waits for the path is not refused
     apply(guardian_tuning(BOARD_PRIORITY))
     with FaultyHost(schedule, Path(job.out), lambda name: _pid_of(name, memory)) as host:
 

@@ -20,7 +20,7 @@ QUICK = (
 """About two seconds of turning wheels, and a window of the guardian in which a shared computer does not pause."""
 
 STARTS = 3
-TOO_BUSY = "set loop.rate_hz to", "ended before the run began", "guardian does not watch"
+TOO_BUSY = "set loop.rate_hz to", "ended before the run began", "guardian does not watch", "did not answer within"
 """Message of a run that does not begin because the board, or a process, does not answer in time."""
 
 
