@@ -63,10 +63,12 @@ BEFORE = (
     "uuid",
 )
 """Load parts for this system."""
+BEFORE_VERB = {"figure": "matplotlib.font_manager", "sweep": "numba"}
+"""Takes long to load; the list of fonts is made at the first import, in Windows' way from its registry."""
 
 
 def pretend(system):
-    for name in (*BEFORE, *(["numba"] if '"sweep"' in sys.argv[3] else [])):
+    for name in (*BEFORE, *(name for verb, name in BEFORE_VERB.items() if f'"{verb}"' in sys.argv[3])):
         importlib.import_module(name)
     sysconfig.get_config_vars()
     platform.platform()

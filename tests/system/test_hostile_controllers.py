@@ -82,7 +82,7 @@ def test_a_forked_controller_makes_no_second_host(run_with, statement):
     session = run.session()
     assert session.incomplete == ""
     assert session.ticks["tick"].tolist() == list(range(run.ticks.written))
-    assert card["link_errors"] == 0
+    assert card["link_errors"] < 0.01 * card["ticks"]  # a busy computer's; two hosts get each other's answers
 
 
 @pytest.mark.parametrize("limit", ["0.7", pytest.param("0.3", marks=pytest.mark.long)])
