@@ -1,14 +1,17 @@
-"""A function with those that it gets as keywords, and the source that all of them come from."""
+"""A function with those that it gets as keywords, and the code that all of them are made of."""
 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import is_dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import astuple, is_dataclass
 from enum import Enum
 from functools import partial
 from pathlib import Path
-from types import FunctionType
+from types import CodeType, FunctionType, ModuleType
 from typing import Any, Final, NamedTuple
+
+import numpy as np
 
 import firmware_protocol
 from inteco_abs import elementary
@@ -32,8 +35,10 @@ class BoundFunction(NamedTuple):
         found, waiting = {self}, [self]
         while waiting:
             part = waiting.pop()
-            called = [bound(value) for value in part.globals() if isinstance(value, FunctionType)]
-            new = {*called, *dict(part.keywords).values()} - found
+            called: list[Any] = [value for value in part.globals() if isinstance(value, FunctionType)]
+            if elementary in part.globals():
+                called += elementary.ARITHMETICS[elementary.PORTABLE].values()
+            new = {*map(bound, called), *dict(part.keywords).values()} - found
             found |= new
             waiting += new
         return found
@@ -44,28 +49,55 @@ class BoundFunction(NamedTuple):
 
     def files(self) -> set[str]:
         """All files of this package or of a user that it comes from, with those of the functions that it calls."""
-        functions = self.functions()
-        own = {elementary.__file__} if any(elementary in part.globals() for part in functions) else set[str]()
-        return own | {part.function.__code__.co_filename for part in functions}
+        return {part.function.__code__.co_filename for part in self.functions()}
 
     def content(self) -> str:
-        """Digest of all these files, and of constants, which may be another file's.
+        """Digest of the code of all these functions, and of the constants that they use, which may be another file's.
 
-        Empty where a file is missing: a user's source may come without its own.
+        Not of their files: those may have changed since, or be missing.
         """
-        files = [Path(file) for file in sorted(self.files())]
-        if not all(file.is_file() for file in files):
-            return ""
-        constants = {_constant(value) for part in self.functions() for value in part.globals()}
-        text = b"".join(file.read_bytes() for file in files) + "\n".join(sorted(constants)).encode()
-        return hashlib.sha256(text).hexdigest()[:16]
+        return hashlib.sha256("\n".join(sorted(map(_text, self.functions()))).encode()).hexdigest()[:16]
 
 
-def _constant(value: Any) -> str:
-    """A number, text or tuple, a dataclass's values, an enumeration's, or the fields of a tuple, as text."""
+def _text(part: BoundFunction) -> str:
+    """What the machine code of a function depends on, but for that of others."""
+    function = part.function
+    codes = list(_codes(function.__code__))
+    numbers = [repr(each) for code in codes for each in code.co_consts if not isinstance(each, CodeType)]
+    texts = [(code.co_code, code.co_names, code.co_varnames) for code in codes]
+    attributes = {name for code in codes for name in code.co_names}
+    used = {name: _constant(function.__globals__[name], attributes) for name in global_names(function)}
+    keywords = [(name, bound.name) for name, bound in part.keywords]
+    return repr((function.__qualname__, texts, numbers, function.__defaults__, used, keywords))
+
+
+def _codes(code: CodeType) -> Iterator[CodeType]:
+    """That of a function, and of those that are defined in it."""
+    yield code
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _codes(constant)
+
+
+def _constant(value: Any, attributes: Iterable[str] = ()) -> Any:
+    """A number, text, array or tuple, a dataclass's values, an enumeration's, or the fields of a tuple.
+
+    Of a function its name, of a module those `attributes` that it has.
+    """
+    if isinstance(value, FunctionType):
+        return value.__qualname__
+    if isinstance(value, ModuleType):
+        found = vars(value)
+        return [(name, _constant(found[name])) for name in sorted(attributes) if name in found]
     if isinstance(value, type):
         return repr(list(value)) if issubclass(value, Enum) else repr(getattr(value, "_fields", ""))
-    return repr(value) if isinstance(value, int | float | str | tuple) or is_dataclass(value) else ""
+    if isinstance(value, np.ndarray | np.generic):
+        return repr(value.dtype), value.shape, value.tobytes()
+    if is_dataclass(value) and not isinstance(value, type):
+        value = astuple(value)
+    if isinstance(value, tuple | list):
+        return [_constant(part) for part in value]
+    return repr(value) if isinstance(value, int | float | str | bytes) else ""
 
 
 def bound(function: Any) -> BoundFunction:
@@ -83,4 +115,5 @@ def is_own(function: Any) -> bool:
 
 def global_names(function: Any) -> list[str]:
     """Names of the module that it uses."""
-    return [name for name in function.__code__.co_names if name in function.__globals__]
+    used = (name for code in _codes(function.__code__) for name in code.co_names)
+    return [name for name in dict.fromkeys(used) if name in function.__globals__]

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 
@@ -32,7 +32,9 @@ _DIGEST_BYTES: Final = hashlib.sha256().digest_size
 _FROM_C: Final = {"numba_frexp": "frexp", "numba_ldexp": "ldexp"}
 """Functions of the C library that numba has under names of its own."""
 _UNUSED: Final = ("NRT_MemInfo_call_dtor", "numba_runtime_build_excinfo_struct", "numba_unpickle")
-"""Functions of numba's runtime for arrays of its own and for texts of exceptions: no loop makes one, none is read."""
+"""Functions of numba's runtime for arrays of its own and for texts of exceptions: a loop that makes one needs others,
+and no text is read."""
+_C_LIBRARY: Final = ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None)
 
 
 class KeptLoop:
@@ -53,24 +55,19 @@ class KeptLoop:
             if self._code is None:
                 return False
         done = ctypes.c_bool()
-        leaves = list(_leaves(arguments))
-        return self._code(ctypes.byref(done), ctypes.byref(ctypes.c_void_p()), *_passed(leaves)) == 0 and done.value
+        return self._code(ctypes.byref(done), ctypes.byref(ctypes.c_void_p()), *_passed(arguments)) == 0 and done.value
 
     def _loaded(self, arguments: tuple[Any, ...]) -> Callable[..., int] | None:
-        file = _folder() / f"{bound(self._function).name[:100]}.{_digest(self._function, arguments)}.o"
-        if (code := _LOADED.get(file)) is None:
-            kept = _read(file)
-            if kept is None and self._may_make:
-                kept = _make(self._function, arguments, file)
-            if kept is None:
-                return None
-            code = _LOADED[file] = _load(*kept, arguments)
-        return code
+        file = _file(self._function, arguments)
+        if file not in _LOADED:
+            kept = _read(file) or (_made(self._function, arguments) if self._may_make else b"")
+            if kept or self._may_make:
+                _LOADED[file] = _load(kept) if kept else None
+        return _LOADED.get(file)
 
 
-_LOADED: Final[dict[Path, Callable[..., int]]] = {}
-_ENGINES: Final[list[Any]] = []
-"""What keeps the code in memory."""
+_LOADED: Final[dict[Path, Callable[..., int] | None]] = {}
+"""None if it cannot be made."""
 
 
 def _leaves(value: Any) -> Iterator[Any]:
@@ -81,102 +78,108 @@ def _leaves(value: Any) -> Iterator[Any]:
         yield value
 
 
-def _passed(leaves: list[Any]) -> Iterator[Any]:
-    for leaf in leaves:
-        if isinstance(leaf, int | float):
-            yield leaf
+def _passed(arguments: tuple[Any, ...]) -> Iterator[Any]:
+    for leaf in _leaves(arguments):
+        if isinstance(leaf, float):
+            yield ctypes.c_double(leaf)
+        elif isinstance(leaf, int):
+            yield ctypes.c_int64(leaf)
         else:
-            yield np.frombuffer(leaf, np.uint8).ctypes.data
+            yield ctypes.c_void_p(np.frombuffer(leaf, np.uint8).ctypes.data)
             if leaf.shape:
-                yield len(leaf)
+                yield ctypes.c_int64(len(leaf))
 
 
-def _parameters(leaves: list[Any]) -> Iterator[Any]:
-    for leaf in leaves:
-        if isinstance(leaf, int | float):
-            yield ctypes.c_double if isinstance(leaf, float) else ctypes.c_int64
-        else:
-            yield ctypes.c_void_p
-            if leaf.shape:
-                yield ctypes.c_int64
-
-
-def _digest(function: Callable[..., bool], arguments: tuple[Any, ...]) -> str:
-    """Of all that the code depends on: source, kinds of arguments, processor and what makes the code."""
+def _file(function: Callable[..., bool], arguments: tuple[Any, ...]) -> Path:
+    """Named by all that the code depends on: functions, kinds of arguments, processor and what makes the code."""
     kinds = [
         repr(leaf.dtype) + str(leaf.ndim) if hasattr(leaf, "dtype") else type(leaf).__name__
         for leaf in _leaves(arguments)
     ]
     processor = binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()
     parts = (bound(function).content(), *kinds, *processor, _NUMBA, sys.platform)
-    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
+    digest = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
+    return _folder() / f"{bound(function).name[:100]}.{digest}.o"
 
 
 def _folder() -> Path:
     """Numba's own folder, that of compiled Python beside this file, or one of the user."""
     if named := os.environ.get("NUMBA_CACHE_DIR"):
         return Path(named)
-    beside = Path(__file__).parent
+    beside = Path(__file__).parent / "__pycache__"
     if os.access(beside, os.W_OK):
-        return beside / "__pycache__"
+        return beside
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "inteco-abs")
 
 
-def _read(file: Path) -> tuple[str, bytes] | None:
+def _read(file: Path) -> bytes:
+    """Symbol, new line and object file; empty if it is missing or damaged."""
     with suppress(OSError):
-        data = file.read_bytes()
-        content, digest = data[:-_DIGEST_BYTES], data[-_DIGEST_BYTES:]
-        if hashlib.sha256(content).digest() == digest:  # the process might crash by damaged code
-            name, _, code = content.partition(b"\n")
-            return name.decode(), code
-    return None
+        return _whole(file.read_bytes())
+    return b""
 
 
-def _make(function: Callable[..., bool], arguments: tuple[Any, ...], file: Path) -> tuple[str, bytes] | None:
-    """Make it in a process of its own, as numba takes 360 MB, unless it or the function is only here."""
+def _whole(data: bytes) -> bytes:
+    content, digest = data[:-_DIGEST_BYTES], data[-_DIGEST_BYTES:]
+    return content if hashlib.sha256(content).digest() == digest else b""  # the process might crash by damaged code
+
+
+def _made(function: Callable[..., bool], arguments: tuple[Any, ...]) -> bytes:
+    """As by `_read`, made in a process of its own, as numba takes 360 MB, unless it is loaded or the loop a user's."""
     if "numba" in sys.modules or not is_own(function):
-        return make(function, arguments, file)
-    command = [sys.executable, "-P", "-m", __name__, str(file)]
+        return _whole(make(function, arguments))
+    command = [sys.executable, "-P", "-m", __name__]
     given = pickle.dumps((function, arguments))
-    # a Ctrl-C ends it, too, and Python goes on
-    subprocess.run(command, input=given, stderr=subprocess.DEVNULL, check=False)  # noqa: S603  our own module
-    return _read(file)
+    with suppress(OSError):
+        # a Ctrl-C ends it, too, and Python goes on
+        done = subprocess.run(command, input=given, capture_output=True, check=False)  # noqa: S603  our own module
+        return _whole(done.stdout)
+    return b""
 
 
-def make(function: Callable[..., bool], arguments: tuple[Any, ...], file: Path) -> tuple[str, bytes] | None:
-    """Compile it and keep it in `file`, if that can be written. None if it cannot be compiled."""
+def make(function: Callable[..., bool], arguments: tuple[Any, ...]) -> bytes:
+    """Compile it, and keep it if there is a place. Content of its file, or nothing if it cannot be compiled."""
     from inteco_abs.machine_code import object_code  # noqa: PLC0415  loads numba
 
     made = object_code(function, arguments)
-    if made is None:
-        return None
-    name, code = made
-    content = name.encode() + b"\n" + code
+    if made is None or not all(map(_is_here, made[2])):
+        return b""
+    content = made[0].encode() + b"\n" + made[1]
+    content += hashlib.sha256(content).digest()
+    file = _file(function, arguments)
     new = file.with_suffix(f".{os.getpid()}")
     with suppress(OSError):
         file.parent.mkdir(parents=True, exist_ok=True)
-        new.write_bytes(content + hashlib.sha256(content).digest())
-        new.replace(file)
-    return made
+        try:
+            new.write_bytes(content)
+            new.replace(file)
+        finally:
+            new.unlink(missing_ok=True)
+    return content
 
 
-def _load(name: str, code: bytes, arguments: tuple[Any, ...]) -> Callable[..., int]:
+def _is_here(symbol: str) -> bool:
+    """Whether it can be loaded without numba: LLVM would end the process."""
+    return symbol.startswith("llvm.") or symbol in {*_FROM_C, *_UNUSED} or hasattr(_C_LIBRARY, symbol)
+
+
+def _load(kept: bytes) -> Callable[..., int]:
+    name, _, code = kept.partition(b"\n")
     binding.initialize_native_target()
     binding.initialize_native_asmprinter()
-    library = ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None)
     for own, other in (*_FROM_C.items(), *((unused, "abort") for unused in _UNUSED)):
         if binding.address_of_symbol(own) is None:  # numba's own, if it is here
-            binding.add_symbol(own, ctypes.cast(library[other], ctypes.c_void_p).value)
+            binding.add_symbol(own, ctypes.cast(_C_LIBRARY[other], ctypes.c_void_p).value)
     engine = binding.create_mcjit_compiler(
         binding.parse_assembly(""), binding.Target.from_default_triple().create_target_machine()
     )
     engine.add_object_file(binding.ObjectFileRef.from_data(code))
     engine.finalize_object()
-    _ENGINES.append(engine)
-    parameters = ctypes.c_void_p, ctypes.c_void_p, *_parameters(list(_leaves(arguments)))
-    return ctypes.CFUNCTYPE(ctypes.c_int32, *parameters)(engine.get_function_address(name))
+    loaded: Any = ctypes.CFUNCTYPE(ctypes.c_int32)(engine.get_function_address(name.decode()))
+    loaded.engine = engine  # keeps the code in memory
+    return cast("Callable[..., int]", loaded)
 
 
 if __name__ == "__main__":
-    wanted, samples = pickle.load(sys.stdin.buffer)  # noqa: S301  from `_make` in the process that waits
-    make(wanted, samples, Path(sys.argv[1]))
+    wanted, samples = pickle.load(sys.stdin.buffer)  # noqa: S301  from `_made` in the process that waits
+    sys.stdout.buffer.write(make(wanted, samples))

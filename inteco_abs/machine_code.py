@@ -33,6 +33,7 @@ except ImportError as error:
 _PICKLE: Final = b"\x80"
 """Its first byte, which no other byte of a version is."""
 _DIGEST_BYTES: Final = hashlib.sha256().digest_size
+_DECLARED: Final = re.compile(r'^(?:declare [^@]*)?@"?([^"(\s]+)"?(?:\(| = external )', re.MULTILINE)
 _PLACE: Final = re.compile(r'File "([^"]+)", line (\d+)')
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -40,7 +41,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 def compiled(function: Function) -> Function:
     """`function` as machine code, beside which other threads run; the keywords of a partial must be functions as well.
 
-    The code is kept on disk under the content of every file that it comes from: numba itself looks at one alone.
+    The code is kept on disk under the content of every function and constant: numba itself looks at one file alone.
     """
     found: Function = _compiled(bound(function))
     return found
@@ -48,8 +49,8 @@ def compiled(function: Function) -> Function:
 
 def compile_problem(function: Function, arguments: Sequence[Any]) -> str:
     """What cannot be compiled for such arguments, with its line as far as numba names it; empty if all can."""
-    native: Any = compiled(function)
     try:
+        native: Any = compiled(function)
         native.compile(tuple(map(typeof, arguments)))
     except Exception as error:  # noqa: BLE001  from a user's function numba raises anything, a KeyError for an attribute
         text = str(error)
@@ -60,8 +61,8 @@ def compile_problem(function: Function, arguments: Sequence[Any]) -> str:
     return ""
 
 
-def object_code(function: Callable[..., Any], arguments: Sequence[Any]) -> tuple[str, bytes] | None:
-    """Symbol and object file of `function` for such arguments, or None if it cannot be compiled.
+def object_code(function: Callable[..., Any], arguments: Sequence[Any]) -> tuple[str, bytes, set[str]] | None:
+    """Symbol, object file and symbols of others of `function` for such arguments, or None if it cannot be compiled.
 
     Its parameters are the leaves of the arguments: an address for a record, address and length for an array, numbers as
     they are.
@@ -92,7 +93,11 @@ def object_code(function: Callable[..., Any], arguments: Sequence[Any]) -> tuple
     entry = njit(tuple(kinds), error_model="numpy", **bare)(known["entry"])
     made: Any = next(iter(entry.overloads.values()))
     _, _, (data, _) = made.library.serialize_using_object_code()
-    return made.fndesc.llvm_func_name, data
+    return (
+        made.fndesc.llvm_func_name,
+        data,
+        set(_DECLARED.findall(made.library.get_llvm_str())),
+    )
 
 
 @cache
@@ -101,10 +106,10 @@ def _compiled(function: BoundFunction) -> Any:
     own = {name: _native(made.__globals__[name]) for name in global_names(made)}
     own |= {name: _compiled(part) for name, part in function.keywords}
     copy = FunctionType(made.__code__, {**made.__globals__, **own}, made.__name__, made.__defaults__)
-    content = function.content()
-    copy.__qualname__ = f"{function.name}_{content}"
-    native: Any = njit(cache=bool(content), nogil=True, error_model="numpy")(copy)
-    if content and native is not copy:  # as it is where NUMBA_DISABLE_JIT is set
+    copy.__qualname__ = f"{function.name}_{function.content()}"
+    kept = Path(made.__code__.co_filename).is_file()  # numba has no folder for one without a file
+    native: Any = njit(cache=kept, nogil=True, error_model="numpy")(copy)
+    if kept and native is not copy:  # as it is where NUMBA_DISABLE_JIT is set
         native._cache._cache_file.__class__ = _CheckedFiles  # noqa: SLF001  numba offers no other place for a check
     return native
 

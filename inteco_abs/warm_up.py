@@ -40,4 +40,5 @@ def paying_loops(module: str, key: object, ticks: float) -> CompiledLoops | None
     try:
         return CompiledLoops(import_module(module), ticks >= WORTH_COMPILING)
     except AbsError:
+        asked_for[key] = -math.inf  # without numba it will not be there later either
         return None

@@ -113,10 +113,11 @@ class CompiledReplay:
             set_gain(self._controller, name, value)
             if name == REFERENCE:
                 parts.controllers["reference"], sequence = value, sequence._replace(reference_slip=value)
-            self._records = parts._replace(controller_k=record(self._controller.k)), sequence
+            k = record(self._controller.k)
+            self._records = parts._replace(controller_k=k), sequence
         except (AttributeError, TypeError, ValueError):  # it has no such gain, or no such field
             return False
-        return True
+        return bool(k.dtype == parts.controller_k.dtype)  # the loop is for this kind
 
 
 def pipeline_records(pipeline: Pipeline) -> tuple[ControlRecords, SequenceRecords] | None:

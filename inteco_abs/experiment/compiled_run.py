@@ -83,12 +83,11 @@ class CompiledRun:
     def run(self, most: int) -> tuple[bytes, bytes]:
         """Ticks and true states of up to `most` ticks, packed; none where Python has to run them."""
         ticks, truths = TICK.blank(most), TRUTH.blank(most)
-        before = self._state
-        self._state = tuple(type(each)(*map(_copied, each)) for each in before)
+        state = tuple(type(each)(*map(_copied, each)) for each in self._state)
         ended = np.zeros(1, np.int64)
-        if not self._loop.run(*self._state, self._period_ns, TICK.array(ticks), TRUTH.array(truths), ended):
-            self._state = before
+        if not self._loop.run(*state, self._period_ns, TICK.array(ticks), TRUTH.array(truths), ended):
             return b"", b""
+        self._state = state
         return bytes(ticks[: ended[0] * TICK.size]), bytes(truths[: ended[0] * TRUTH.size])
 
     def resume(self) -> None:

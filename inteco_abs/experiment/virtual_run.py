@@ -87,8 +87,7 @@ class VirtualRun:
         self._changes = GainChanges(config, pipeline, gains, self._made.append)
         self._compile: Callable[[CompiledLoops], Any] | None = None
         self._compiled: Any = None  # the CompiledRun that has the state of board, rig and pipeline now
-        self._loops: CompiledLoops | None = None
-        self._useless: CompiledLoops | None = None
+        self._tried: CompiledLoops | None = None  # not once more: their code is missing until making it pays
 
     def run(self, progress: RunProgress | None, screen: Screen) -> RunResult:
         plan = self._plan
@@ -180,15 +179,16 @@ class VirtualRun:
         if not self._changes.over:
             return loop.run(_SLICE_TICKS)
         loops = self._paying_loops() if self._compiled is None and self._compile is not None else None
-        if loops not in {None, self._useless}:
+        if loops not in {None, self._tried}:
             if not self._ring.written and loop.run(1):  # compiled ticks follow a good exchange
                 return True
-            self._compiled, self._loops = self._compile and self._compile(loops), loops
+            self._compiled = self._compile and self._compile(loops)
+            if self._compiled is not None:
+                self._tried = loops
         if self._compiled is not None and not self._interrupts.stop.requested:
             ticks, truths = self._compiled.run(min(_COMPILED_TICKS, self._window.room - _SLICE_TICKS))
             if ticks:
                 return self._take(ticks, truths)
-            self._useless = self._loops  # the code may be missing: it is made when that pays
         self._go_on_in_python()
         return loop.run(_SLICE_TICKS)
 
