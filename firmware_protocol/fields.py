@@ -3,6 +3,7 @@
 A frame is a fixed number of words: 16 bits, little-endian, or single bytes. A `FrameField` declares once its meaning
 and, per direction, which bits of which words carry it. A `FrameTable` has all fields of one direction and checks itself
 when it is built. Only these declarations contain offsets and shifts.
+They are in `rtdac_usb2`, `rtdac_usb` and `open_board`; the registers of the PCI board are in `rtdac_pci`.
 """
 
 from __future__ import annotations

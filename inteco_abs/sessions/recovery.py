@@ -1,4 +1,7 @@
-"""Recovers a session from a damaged file: every tick of every chunk whose checksum is right."""
+"""Recovers a session from a damaged file: every tick of every chunk whose checksum is right.
+
+`recover_run` in `inteco_abs.realtime.processes.recorder` recovers the memory of a killed run.
+"""
 
 from __future__ import annotations
 
