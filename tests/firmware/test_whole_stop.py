@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
@@ -37,17 +37,25 @@ TRIES = 5
 """A run refuses to begin, with nothing moved, while the computer is too busy for its rate."""
 
 
-def run_on(board, kind, settings, out):
-    chosen = [word for each in settings for word in ("--set", each)]
-    command = [COMMAND, "run", "--board", f"{kind}:{board.link}", *chosen, "--out", out]
-    command += ["--set", "experiment.start_speed_rad_s=100"]
-    return subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, text=True
-    )
+@pytest.fixture
+def run_on():
+    """Starts a run on an emulated board."""
+    with ExitStack() as stack:
+
+        def start(board, kind, settings, out):
+            chosen = [word for each in settings for word in ("--set", each)]
+            command = [COMMAND, "run", "--board", f"{kind}:{board.link}", *chosen, "--out", out]
+            command += ["--set", "experiment.start_speed_rad_s=100"]
+            pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "stdin": subprocess.DEVNULL}
+            process = stack.enter_context(subprocess.Popen(command, text=True, **pipes))
+            stack.callback(process.kill)
+            return process
+
+        yield start
 
 
 @pytest.mark.parametrize("name", LOGICS)
-def test_a_stop_through_the_emulated_board_completes_and_replays(name, tmp_path):
+def test_a_stop_through_the_emulated_board_completes_and_replays(name, run_on, tmp_path):
     kind, settings = LOGICS[name]
     with emulated_board(tmp_path) as board:
         for i in range(TRIES):
@@ -80,7 +88,7 @@ def processes_of(supervisor):
 
 
 @pytest.mark.parametrize("victims", ["supervisor", "loop", "guardian", "recorder", "supervisor loop guardian recorder"])
-def test_whatever_process_is_killed_the_outputs_go_off(victims, tmp_path):
+def test_whatever_process_is_killed_the_outputs_go_off(victims, run_on, tmp_path):
     kind, settings = LOGICS["open logic"]
     with emulated_board(tmp_path) as board:
         run, tries = run_on(board, kind, settings, tmp_path / "0.mcap"), 0

@@ -1,6 +1,7 @@
 """Gains that change while the loop runs, by requests through shared memory."""
 
 import threading
+from contextlib import contextmanager
 from itertools import pairwise
 
 import pytest
@@ -39,8 +40,9 @@ class Bench:
     def connected(self):
         return self.tuner.connected(self.memory, self.gains, DECLARED)
 
+    @contextmanager
     def turning(self):
-        """A thread in which the loop runs until `over` is set, and that event."""
+        """The loop runs, in a thread."""
         over = threading.Event()
 
         def turn():
@@ -50,7 +52,11 @@ class Bench:
 
         thread = threading.Thread(target=turn)
         thread.start()
-        return thread, over
+        try:
+            yield
+        finally:
+            over.set()
+            thread.join()
 
 
 @pytest.fixture
@@ -93,12 +99,8 @@ def test_after_the_last_change_for_which_there_is_room_all_are_refused(bench, mo
 
 def test_a_tuner_changes_what_the_run_can_change_and_knows_the_values_in_force(bench):
     with bench.connected():
-        thread, over = bench.turning()
-        try:
+        with bench.turning():
             first, second = bench.tuner.change("Mk", 5), bench.tuner.change("reference_slip", 0.3)
-        finally:
-            over.set()
-            thread.join()
         assert 0 < first < second
         assert [gain.name for gain in bench.tuner.gains] == ["reference_slip", *DECLARED]
         assert bench.tuner.values == {"reference_slip": 0.3, "Mk": 5.0, "Mq": 1.0, "lag_s": 0.0}
@@ -111,15 +113,12 @@ def test_many_threads_change_gains_one_after_the_other(bench):
     def change(name):
         ticks.extend(bench.tuner.change(name, 0.01 * (number + 1)) for number in range(5))
 
-    with bench.connected():
-        loop, over = bench.turning()
+    with bench.connected(), bench.turning():
         threads = [threading.Thread(target=change, args=(name,)) for name in ("reference_slip", *DECLARED)]
         for thread in threads:
             thread.start()
         for thread in threads:
             thread.join()
-        over.set()
-        loop.join()
     found = [each.tick for each in bench.table.changes()]
     assert sorted(ticks) == found
     assert len(found) == 20
@@ -159,14 +158,14 @@ def test_virtual_time_has_no_tuner(tmp_path):
 @pytest.mark.long
 def test_a_run_in_real_time_records_each_change_with_its_tick_and_replays(tmp_path):
     settings = ["experiment.start_speed_rad_s=40.0", 'experiment.changes=["Mq=2@brake+20ms"]']
-    config, tuner, answers = load_config(settings=settings), Tuner(), []
+    config, tuner, answers, over = load_config(settings=settings), Tuner(), [], threading.Event()
 
     def person():
-        while not answers:
+        while not answers and not over.wait(0.01):
             try:
                 answers.append(tuner.change("Mk", 7.0))
             except AbsError:
-                threading.Event().wait(0.01)
+                continue
         for number in range(500):
             try:
                 answers.append(tuner.change("reference_slip", 0.1 + 0.01 * (number % 20)))
@@ -175,8 +174,11 @@ def test_a_run_in_real_time_records_each_change_with_its_tick_and_replays(tmp_pa
 
     thread = threading.Thread(target=person)
     thread.start()
-    result = run_stop(config, Plan(tmp_path / "stop.mcap", virtual=False), tuner=tuner)
-    thread.join()
+    try:
+        result = run_stop(config, Plan(tmp_path / "stop.mcap", virtual=False), tuner=tuner)
+    finally:
+        over.set()
+        thread.join()
     assert result.outcome == "completed"
     session = read_session(tmp_path / "stop.mcap")
     asked = [each.tick for each in changes_among(session.parameters) if each.name != "Mq"]
