@@ -22,7 +22,6 @@ from inteco_abs.cli import main
 from inteco_abs.mock_board import Device
 from inteco_abs.rig import plant
 from inteco_abs.sessions import provenance, read_session
-from inteco_abs.warm_up import asked_for
 from tests.faults.lines import OURS, Counting, Line, Strike, Tracing
 from tests.faults.stage import SHORTEST
 
@@ -85,7 +84,6 @@ class Lives:
     def live(self, tracing: Tracing | None = None) -> Life:
         """From its first line to its last."""
         devices = []
-        asked_for.clear()  # lines that weigh whether machine code pays are those of a new process
 
         class Remembered(Device):
             def __init__(self, *arguments, **named):
@@ -106,6 +104,7 @@ class Lives:
         ):
             patch.setattr(inteco_abs.experiment.virtual_run, "Device", Remembered)
             patch.setattr(sys, "argv", self._words)
+            patch.setenv("NUMBA_DISABLE_JIT", "1")  # another test may put machine code on the disk meanwhile
             patch.chdir(self.folder)
             try:
                 with tracing or nullcontext():
