@@ -29,10 +29,12 @@ STIFF: Final = 0.25
 """Step times eigenvalue from which the contact is solved implicitly."""
 FOLLOWED: Final = 0.5
 """Largest step times eigenvalue, as long as `MOST_CUTS` allows."""
-MOST_CUTS: Final = 64
+MOST_CUTS: Final = 16
+"""Parts of `max_step_s` at most, for a stiff contact: few enough for a mock board in Python to keep real time at low
+speeds. Wheels that start, coast and are braked are displaced by less than 2e-4 rad, 1/15 of an encoder's count."""
 ALMOST_AT_REST: Final = 1e-9
-CRAWL_RAD_S: Final = 0.005
-"""Below this the slip has no meaning: static friction stops it within 2 ms, an encoder counts once in 0.6 s."""
+CRAWL_RAD_S: Final = 0.02
+"""Below this the slip has no meaning: static friction stops it within 8 ms, an encoder counts once in 0.15 s."""
 
 
 class Plant(State):
@@ -184,8 +186,8 @@ def _move(k: Constants, s: State, drive: float, duration_s: float) -> None:
 
 def _cuts(k: Constants, s: State, block_s: float) -> int:
     fastest = max(abs(s.wheel_speed), abs(s.road_speed))
-    wanted = block_s * k.contact_rate / FOLLOWED
-    return MOST_CUTS if wanted >= MOST_CUTS * fastest else math.ceil(wanted / fastest)
+    wanted, most = block_s * k.contact_rate / FOLLOWED, math.ceil(MOST_CUTS * block_s / k.max_step_s)
+    return most if wanted >= most * fastest else math.ceil(wanted / fastest)
 
 
 def _step(k: Constants, s: State, drive: float, h: float) -> None:

@@ -62,6 +62,21 @@ def test_halving_the_step_converges_down_to_standstill(parameters, start, brake,
     assert [coarse / fine for coarse, fine in pairwise(errors_rad)] == pytest.approx([4.0, 4.0], rel=0.3)
 
 
+@pytest.mark.parametrize("advance_s", [0.0001, 0.01])
+def test_wheels_that_start_slowly_are_where_finer_steps_have_them(parameters, advance_s):
+    """A mock board advances in short parts between exchanges: these must neither move the wheels nor cost more."""
+
+    def angles_rad(max_step_s):
+        plant = Plant(parameters, 0.0, 0.0, max_step_s=max_step_s)
+        for duty in (0.07, 0.0):
+            for _ in range(round(0.3 / advance_s)):
+                plant.advance(duty, 0.0, advance_s)
+        return plant.wheel_angle, plant.road_angle
+
+    assert min(angles_rad(0.0005)) > 0.03
+    assert angles_rad(0.0005) == pytest.approx(angles_rad(0.0001), abs=1e-5)
+
+
 @pytest.mark.parametrize("road_rad_s", [30.0, 10.0, 3.0, 1.0])
 def test_standard_step_follows_the_stiff_contact_at_low_speed(parameters, road_rad_s):
     start = (0.9 * road_rad_s, road_rad_s)
