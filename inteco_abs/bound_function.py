@@ -67,7 +67,7 @@ def _text(part: BoundFunction) -> str:
     texts = [(code.co_code, code.co_names, code.co_varnames) for code in codes]
     attributes = {name for code in codes for name in code.co_names}
     used = {name: _constant(function.__globals__[name], attributes) for name in global_names(function)}
-    keywords = [(name, bound.name) for name, bound in part.keywords]
+    keywords = [(name, value.name) for name, value in part.keywords]
     return repr((function.__qualname__, texts, numbers, function.__defaults__, used, keywords))
 
 

@@ -93,11 +93,7 @@ def object_code(function: Callable[..., Any], arguments: Sequence[Any]) -> tuple
     entry = njit(tuple(kinds), error_model="numpy", **bare)(known["entry"])
     made: Any = next(iter(entry.overloads.values()))
     _, _, (data, _) = made.library.serialize_using_object_code()
-    return (
-        made.fndesc.llvm_func_name,
-        data,
-        set(_DECLARED.findall(made.library.get_llvm_str())),
-    )
+    return made.fndesc.llvm_func_name, data, set(_DECLARED.findall(made.library.get_llvm_str()))
 
 
 @cache
