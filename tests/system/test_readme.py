@@ -26,8 +26,9 @@ ENDS = {
     " doctor": {0, 3},
     " demo": {0, 3},
     " run --board sim: ": {0, 3},
+    " design --uncertain mu=1% --lag ": {3},
 }
-"""Exit codes of commands that find differences or losses, or may be late: a stop in real time, and the doctor."""
+"""Exit codes of commands that find differences, losses or a limit cycle, or may be late: real time, the doctor."""
 CHECK_ITSELF = "./tools/check"  # running it is what runs this test
 FEWER = {r"--draws \d\d+": "--draws 3", r":0-49\b": ":0-1", r"--tune\b": "--tune --law PI"}
 """Rigs and laws of which a few do: the figures of the pages are of hundreds, and take half an hour."""
