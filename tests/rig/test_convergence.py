@@ -64,7 +64,7 @@ def test_halving_the_step_converges_down_to_standstill(parameters, start, brake,
 
 @pytest.mark.parametrize("advance_s", [0.0001, 0.01])
 def test_wheels_that_start_slowly_are_where_finer_steps_have_them(parameters, advance_s):
-    """A mock board advances in short parts between exchanges: these must neither move the wheels nor cost more."""
+    """A mock board advances in short parts between exchanges, on which the angles must not depend."""
 
     def angles_rad(max_step_s):
         plant = Plant(parameters, 0.0, 0.0, max_step_s=max_step_s)

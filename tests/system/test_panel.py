@@ -229,9 +229,8 @@ def drive_until(memory, side):
 def processes_in_real_time(monkeypatch):
     """What is started here is not traced.
 
-    Near standstill the rig's steps are cut in proportion to its speed: the first 10 ms of driving take 5 ms to compute,
-    but 46 ms under the tracer, and a link waits 10 ms for an answer. Until the wheels turn, SAFE would be the
-    guardian's to confirm.
+    Near standstill the rig's steps are cut in proportion to its speed, which under the tracer takes longer than the
+    10 ms for which a link waits. Until the wheels turn, SAFE would be the guardian's to confirm.
     """
     for name in [name for name in os.environ if name.startswith("COV")]:
         monkeypatch.delenv(name)
