@@ -31,6 +31,9 @@ settings.register_profile(  # a failure is all that tools/mutate asks for, and t
 )
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
+if sys.platform != "win32":  # under nohup it is ignored, and a server that a test starts would not end by it
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
 
 class FilesTogether(LoadGroupScheduling):
     """A file's tests stay on one worker, which makes their fixtures once; those of an xdist_group are with the group.

@@ -44,8 +44,9 @@ class Check:
     hundreds of runs in real time, each of which the other tests may make late, and time to try them again.
     """
 
-    def __init__(self, *pytest: str, long: bool = False) -> None:
-        self.pytest = (*pytest, "-m", "pytest", "-q")
+    def __init__(self, *, long: bool = False) -> None:
+        # coverage measures the tests, as mutation does: it takes a fifth of their time, and changes little by a day
+        self.tracer = ("-m", "coverage", "run") if long else ()
         self.workers, self.most_again = (CORES, 100) if long else (CORES + 1, 5)
         self.start_s = time.monotonic()
         self.parts: list[Part] = []
@@ -73,12 +74,14 @@ class Check:
         """Run the selected tests on all cores, and those that failed again when the `others` have ended."""
         # tests of one group stay on one worker: real-time runs would be each other's load
         parallel = ("-n", str(self.workers), "--dist", "loadgroup", "--cache-clear")
-        code = self.run(name, *self.pytest, "-m", selection, *parallel)
+        pytest = "-m", "pytest", "-q", "-m", selection
+        code = self.run(name, sys.executable, *self.tracer, *pytest, *parallel)
         others.result()  # raises what kept them from running
         failed = unsteady_tests() if code == TESTS_FAILED else []
         if not 0 < len(failed) <= self.most_again:
             return
-        if self.run(f"{name}, failed ones alone", *self.pytest, "-m", selection, "-n", "0", *failed) == 0:
+        # without the tracer, which alone makes runs in real time late
+        if self.run(f"{name}, failed ones alone", sys.executable, *pytest, "-n", "0", *failed) == 0:
             self.parts = [part._replace(result="passed") if part.name == name else part for part in self.parts]
             self.unsteady += failed
 
@@ -106,8 +109,7 @@ def unsteady_tests(kept: Path = KEPT) -> list[str]:
 
 def main(arguments: list[str]) -> int:
     long = arguments == ["--long"]
-    # coverage measures the tests, as mutation does: its tracer takes a fifth of their time, and changes little by a day
-    check = Check(*(["coverage", "run"] if long else ["python"]), long=long)
+    check = Check(long=long)
 
     def in_the_background() -> None:
         check.run("format", "ruff", "format", "--check", "--quiet", ".", background=True)

@@ -143,6 +143,7 @@ def test_a_step_is_done_again_on_demand(commission, whole_script):
 
 
 @pytest.mark.long
+@pytest.mark.untraced
 @pytest.mark.xdist_group("real time")
 def test_in_real_time_a_guarded_process_holds_the_mock(lab, installed, scripts):
     lab.done_until("echo")

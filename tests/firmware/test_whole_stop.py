@@ -16,7 +16,7 @@ from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError
 from inteco_abs.signals import Command
 
-pytestmark = [pytest.mark.long, pytest.mark.xdist_group("real time")]
+pytestmark = [pytest.mark.long, pytest.mark.untraced, pytest.mark.xdist_group("real time")]
 
 COMMAND = Path(sys.executable).with_name("inteco-abs")
 PROBLEMS = 3

@@ -156,6 +156,7 @@ def test_virtual_time_has_no_tuner(tmp_path):
 
 
 @pytest.mark.long
+@pytest.mark.untraced
 def test_a_run_in_real_time_records_each_change_with_its_tick_and_replays(tmp_path):
     settings = ["experiment.start_speed_rad_s=40.0", 'experiment.changes=["Mq=2@brake+20ms"]']
     config, tuner, answers, over = load_config(settings=settings), Tuner(), [], threading.Event()

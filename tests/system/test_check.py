@@ -2,7 +2,6 @@
 
 import re
 import runpy
-import sys
 from concurrent.futures import Future
 from pathlib import Path
 
@@ -24,6 +23,12 @@ def test_flaky(case):
 def test_steady():
     pass
 """
+UNTRACED = """
+import sys
+
+def test_untraced():
+    assert "coverage" not in sys.modules
+"""
 HOPELESS = """
 def test_hopeless():
     raise ArithmeticError
@@ -39,12 +44,12 @@ def checked(tmp_path, monkeypatch, capfd):
     monkeypatch.setenv("PYTEST_PLUGINS", "xdist.plugin")
     (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = long\n")
 
-    def run(**files):
+    def run(*, long=False, **files):
         for name, text in files.items():
             (tmp_path / f"test_{name}.py").write_text(text)
         others = Future()
         others.set_result(None)
-        check = runpy.run_path(str(CHECKS))["Check"](sys.executable)
+        check = runpy.run_path(str(CHECKS))["Check"](long=long)
         check.tests("tests", "not long", others=others)
         code = check.report()
         printed = capfd.readouterr().out
@@ -62,6 +67,13 @@ def test_a_test_that_fails_beside_others_and_passes_alone_is_named_at_the_end(ch
         "test_flaky.py::test_flaky[c@d/e]",
         *["all", "checks", "passed"],
     ]
+
+
+def test_a_long_check_measures_coverage_but_not_of_those_that_it_repeats(checked, tmp_path):
+    (tmp_path / ".coveragerc").write_text("[run]\npatch = subprocess\nparallel = true\n")
+    code, _, parts = checked(untraced=UNTRACED, long=True)
+    assert (code, parts) == (0, {"tests": "passed", "tests, failed ones alone": "passed"})
+    assert list(tmp_path.glob(".coverage.*"))
 
 
 def test_a_test_that_fails_alone_as_well_fails_the_check(checked):

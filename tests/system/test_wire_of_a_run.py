@@ -36,6 +36,7 @@ def test_another_wiring_is_found_by_its_words(captured, inteco_abs):
 
 
 @pytest.mark.long
+@pytest.mark.untraced
 def test_a_run_in_real_time_keeps_its_wire_too_and_the_same_in_its_session(inteco_abs, tmp_path):
     inteco_abs("run", *QUICK, "--out", "x.mcap", "--record-wire", "x.jsonl", "--frames")
     inteco_abs("wire", "import", "x.mcap", "-o", "again.jsonl", check=0)
