@@ -83,12 +83,14 @@ def browser(chromium_driver):
     return Browser(chromium_driver)
 
 
+@pytest.mark.long
 def test_every_link_resolves_and_nothing_is_loaded_from_elsewhere(pages):
     assert sum(len(page.links) for page in pages.values()) > 1000
     assert {str(path): links for path, page in pages.items() if (links := list(page.broken(pages)))} == {}
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+@pytest.mark.long
 def test_a_notebook_can_be_downloaded(path, site, pages):
     page = site / path.relative_to(ROOT).with_suffix(".html")
     (download,) = [link for link in pages[page].links if link.endswith(path.name)]
@@ -114,6 +116,7 @@ def test_the_whole_build_runs_every_notebook_and_shows_what_its_cells_made(tmp_p
         assert ".png" in text
 
 
+@pytest.mark.long
 def test_a_word_that_is_searched_for_leads_to_its_page(browser, site, tmp_path):
     browser.show(site / "index.html")
     browser.wait("return document.querySelector('.sidebar-search')")
@@ -132,6 +135,7 @@ def test_a_word_that_is_searched_for_leads_to_its_page(browser, site, tmp_path):
 
 
 @pytest.mark.parametrize("width", [390, 1280])
+@pytest.mark.long
 def test_a_page_is_no_wider_than_its_window(browser, site, width):
     for name in ("README", "docs/tutorials/1-first-stop", "docs/api/4-boards", "firmware_protocol/PROTOCOL", NOTEBOOK):
         browser.show(site / f"{name}.html", width=width)

@@ -93,8 +93,9 @@ def all_of(engine, task="all"):
 
 @real_libusb
 @pytest.mark.usefixtures("preload")
-@pytest.mark.parametrize("engine", ["queued", pytest.param("one-by-one", marks=pytest.mark.long)])
+@pytest.mark.parametrize("engine", ["queued", "one-by-one"])
 @pytest.mark.parametrize("name", [*SCENARIOS, *ONLY_THERE, "jtag"])
+@pytest.mark.long
 def test_over_real_libusb(engine, name):
     failure = all_of(engine)[0][name]
     assert failure is None, failure

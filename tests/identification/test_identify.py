@@ -82,6 +82,7 @@ def test_other_radii_leave_what_is_assumed_at_its_values():
     assert (found.d1, found.M10) == pytest.approx((base.d1, base.M10))
 
 
+@pytest.mark.long
 def test_a_friction_curve_of_the_measured_form_is_part_of_the_intervals(found):
     names = [each.name for each in found.fit.priors.fit_parameters]
     blend, ratio = names.index("blend"), names.index("r1/r2")

@@ -63,6 +63,7 @@ def test_halving_the_step_converges_down_to_standstill(parameters, start, brake,
 
 
 @pytest.mark.parametrize("advance_s", [0.0001, 0.01])
+@pytest.mark.long
 def test_wheels_that_start_slowly_are_where_finer_steps_have_them(parameters, advance_s):
     """A mock board advances in short parts between exchanges, on which the angles must not depend."""
 

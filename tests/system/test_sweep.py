@@ -37,6 +37,7 @@ class Own:
 """
 
 
+@pytest.mark.long
 def test_controllers_gains_and_estimators_are_compared_on_populations(inteco_abs, tmp_path):
     (tmp_path / "own.py").write_text(OWN)
     run = inteco_abs(

@@ -108,6 +108,7 @@ def test_everything_is_drawn_and_nothing_complains(browser, page):
     assert browser.run("return performance.getEntriesByType('resource').map(entry => entry.name)") == []
 
 
+@pytest.mark.long
 def test_a_zoom_in_one_plot_is_a_zoom_in_all(browser, page):
     browser.show(page)
     whole, before = browser.ranges("slip"), browser.picture("speeds")
@@ -154,7 +155,8 @@ def test_an_entry_of_a_legend_hides_its_line(browser, page):
     assert of_colour(browser.picture("speeds"), RED) == shown
 
 
-@pytest.mark.parametrize("width", [1280, pytest.param(420, marks=pytest.mark.long)])
+@pytest.mark.parametrize("width", [1280, 420])
+@pytest.mark.long
 def test_plots_follow_the_page_into_the_dark_and_back(browser, page, width):
     browser.show(page, "light", width)
     for scheme in ("light", "dark", "light"):
