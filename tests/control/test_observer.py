@@ -193,7 +193,13 @@ def test_flagged_samples_are_passed_over(experiment):
 @pytest.mark.untraced
 @pytest.mark.parametrize(
     ("rate_hz", "error", "held"),
-    [(50.0, 0.05, 0.3), (100.0, 0.03, 0.05), (250.0, 0.01, 0.005), (1000.0, 0.01, 0.005), (10_000.0, 0.01, 0.005)],
+    [
+        (50.0, 0.05, 0.3),
+        pytest.param(100.0, 0.03, 0.05, marks=pytest.mark.long),
+        pytest.param(250.0, 0.01, 0.005, marks=pytest.mark.long),
+        pytest.param(1000.0, 0.01, 0.005, marks=pytest.mark.long),
+        (10_000.0, 0.01, 0.005),
+    ],
 )
 def test_other_rates_of_the_loop(rolling, rate_hz, error, held):
     run = rolling(HARD, 80.0 if rate_hz > 2000.0 else 180.0, rate_hz)

@@ -29,6 +29,7 @@ DESCRIPTION = {
 @pytest.mark.untraced
 @pytest.mark.usefixtures("preload")
 @pytest.mark.xdist_group("real libusb")
+@pytest.mark.long
 def test_a_board_on_the_bus_is_listed_read_and_timed_and_nothing_is_written_to_it(tmp_path):
     host = new_host(UsbSpeed.HIGH, drill=False)
     tree = UsbfsTree(host)

@@ -357,6 +357,7 @@ class TestStrangers:
             assert self.status(port, Origin=origin) == 101
             assert self.status(port, Origin=origin, Host=f"localhost:{port}") == 101
 
+    @pytest.mark.long
     def test_many_silent_connections_take_few_descriptors_and_others_continue(self, memory, job, loop, until):
         with live_view(memory, job), watching(memory.words[Field.LIVE_PORT]) as viewer:
             loop.reach(viewer)

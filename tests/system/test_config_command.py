@@ -181,6 +181,7 @@ def test_what_is_shown_as_json_is_the_configuration_with_its_origins(said, tmp_p
     assert report["origins"]["loop.rate_hz"] == "command line"
 
 
+@pytest.mark.long
 def test_every_key_is_explained_as_json_with_the_profiles_evidence(said):
     keys = [(key.path.partition(".")[0], key.path, key.meaning) for key in all_keys(CONTROLLERS)]
     for each in {section for section, _, _ in keys}:

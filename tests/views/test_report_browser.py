@@ -121,6 +121,7 @@ def test_a_zoom_in_one_plot_is_a_zoom_in_all(browser, page):
     assert browser.ranges("timing") == pytest.approx(whole)
 
 
+@pytest.mark.long
 def test_a_phone_scrolls_over_plots_and_shows_the_table_of_results_whole(browser, two_stops):
     browser.show(two_stops, width=400, touch=True)
     assert browser.swipe_up("slip") > 100
