@@ -273,7 +273,6 @@ def judged(change=()):
     return z3.And(z3.Not(z3.Or(raising)), *run_up_invariant(k, s)), assumed
 
 
-@pytest.mark.long
 def test_the_check_of_the_run_up_never_raises():
     holds, assumed = judged()
     assert refuted(holds, *assumed) is None
