@@ -174,7 +174,7 @@ def _move(k: Constants, s: State, drive: float, duration_s: float) -> None:
     if duration_s <= k.max_step_s and s.road_speed > duration_s * k.contact_rate / FOLLOWED:
         _step(k, s, drive, duration_s)  # one block, one cut
         return
-    if s.wheel_speed == 0.0 == s.road_speed and drive_torque(k, drive, 0.0) <= k.M20:
+    if s.wheel_speed == 0.0 == s.road_speed and _pull(k, drive, 0.0) <= k.M20:
         _take(k, s, duration_s, 0.0, 0.0)
         return
     blocks = math.ceil(duration_s / k.max_step_s - 1e-9)
@@ -209,7 +209,7 @@ def _step(k: Constants, s: State, drive: float, h: float) -> None:
 def _crawl(k: Constants, s: State, drive: float, h: float) -> None:
     """Both wheels are almost at rest: they stick together, and move off together or not at all."""
     ratio = k.r2 / k.r1
-    torque = drive_torque(k, drive, 0.0) - k.M20 - ratio * (k.M10 + s.brake_torque)
+    torque = _pull(k, drive, 0.0) - k.M20 - ratio * (k.M10 + s.brake_torque)
     next2 = s.road_speed + h * torque / (k.J2 + ratio * ratio * k.J1) if torque > 0.0 else 0.0
     _take(k, s, h, ratio * next2, next2)
 
@@ -234,17 +234,22 @@ def _take(k: Constants, s: State, h: float, next1: float, next2: float) -> None:
     s.wheel_speed, s.road_speed = next1, next2
 
 
+def _pull(k: Constants, drive: float, road_speed: float) -> float:
+    """The drive's torque in N m: switched off, it may still pull."""
+    return drive_torque(k, drive, road_speed) if drive else k.drive_residual_nm
+
+
 def _next_speeds(k: Constants, s: State, drive: float, h: float) -> tuple[float, float]:
     if k.load_ripple != 0.0:
         _press(k, s, h)
     x1, x2 = s.wheel_speed, s.road_speed
-    torque, target, residual = s.brake_torque, s.settled_torque, k.drive_residual_nm
+    torque, target = s.brake_torque, s.settled_torque
     if torque != target:
         # the exact mean over the step: the speeds follow the brake's impulse, however fast the brake is
         if h != s.lag_step_s:
             _brake_lag(k, s, h)
         torque = target + (torque - target) * s.lag_mean
-    k1, k2, normal, traction, slip = rates(k, s, x1, x2, torque, drive_torque(k, drive, x2) if drive else residual)
+    k1, k2, normal, traction, slip = rates(k, s, x1, x2, torque, _pull(k, drive, x2))
     stiff = h * k.contact_rate > STIFF * (max(x2, x1))
     if stiff:
         column1, column2, row1, row2 = contact_stiffness(k, s, x1, x2, normal, traction, slip)
@@ -256,7 +261,7 @@ def _next_speeds(k: Constants, s: State, drive: float, h: float) -> tuple[float,
     end1, end2 = x1 + h * k1, x2 + h * k2
     end1 = end1 if x1 * end1 >= 0.0 else x1 * ALMOST_AT_REST
     end2 = end2 if x2 * end2 >= 0.0 else x2 * ALMOST_AT_REST
-    a1, a2, _, _, _ = rates(k, s, end1, end2, torque, drive_torque(k, drive, end2) if drive else residual)
+    a1, a2, _, _, _ = rates(k, s, end1, end2, torque, _pull(k, drive, end2))
     a1 -= 2.0 * k1
     a2 -= 2.0 * k2
     if stiff:

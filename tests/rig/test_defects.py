@@ -180,6 +180,16 @@ def test_a_drive_that_still_pulls_delays_the_stop_but_moves_no_rig_at_rest():
     assert (plant.road_speed, plant.road_angle) == (0.0, 0.0)
 
 
+def test_a_drive_that_still_pulls_harder_than_friction_moves_the_rig_off():
+    k = replace(RigVariation().parameters, M20=0.04)
+    plant = standing(RigVariation(parameters=k, drive_residual_nm=0.08))
+    plant.advance(0.0, 0.0, 1.0)
+    ratio = k.r2 / k.r1
+    inertia = k.J2 + ratio**2 * k.J1
+    # viscous friction takes less than 2 % of so low a speed
+    assert plant.road_speed == pytest.approx((0.08 - k.M20 - ratio * k.M10) / inertia, rel=0.02)
+
+
 @given(
     st.builds(
         RigVariation,
