@@ -1,6 +1,6 @@
 """Sliding mode with a switching gain that adapts: by a Lyapunov function, and by a reaching law.
 
-R. Chereji, M.-B. Radac, A.-I. Szedlak-Stinean: Sliding mode control algorithms for anti-lock braking systems with
+E. Chereji, M.-B. Radac, A.-I. Szedlak-Stinean: Sliding mode control algorithms for anti-lock braking systems with
 performance comparisons, Algorithms 14 (1), 2021, article 2.
 
 Both compute the equivalent torque of the rig's model. The first adds a switching rate alone, the second the reaching
