@@ -29,12 +29,13 @@ class TestDuties:
             assert 0 <= width <= full
             assert width <= duty * full + ROUNDING < width + 1
 
+    @pytest.mark.parametrize("step", [13, pytest.param(1, marks=pytest.mark.long)])
     @modes
-    def test_a_duty_that_is_a_whole_number_of_widths_is_exact(self, new_bench, mode):
+    def test_a_duty_that_is_a_whole_number_of_widths_is_exact(self, new_bench, mode, step):
         bench, full = new_bench(f"board.pwm_mode={mode}"), FULL[mode]
         bench.device.seize()
         with bench.board:
-            for width in range(full + 1):
+            for width in (*range(0, full, step), full):
                 bench.exchange(width / full, (full - width) / full)
                 assert bench.device.settings["pwm0_width"] == width
                 assert bench.device.settings["pwm1_width"] == full - width

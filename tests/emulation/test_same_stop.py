@@ -21,7 +21,7 @@ pytestmark = pytest.mark.untraced  # the same code runs traced elsewhere, and th
 
 HERE = Path(__file__).parent
 SEED = 7
-SHORT = ("experiment.idle_s=0.02", "experiment.hold_s=0.05", "experiment.start_speed_rad_s=40.0")
+SHORT = ("experiment.idle_s=0.02", "experiment.hold_s=0.05", "experiment.start_speed_rad_s=15.0")
 """Real libusb on an emulated device file takes milliseconds for a tick."""
 
 

@@ -37,7 +37,7 @@ def configured(*settings, controllers=OWN):
     return load_config(settings=settings, checks=[control_check(controllers, ESTIMATOR_NAMES)])
 
 
-SHORT = configured("experiment.start_speed_rad_s=40", "controller.name=pi")
+SHORT = configured("experiment.start_speed_rad_s=40")
 """Stops that take half a second."""
 
 

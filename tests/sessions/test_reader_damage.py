@@ -158,6 +158,7 @@ def test_every_bit_of_every_fixed_field_of_a_chunk(reading, container, tiny):
     assert variants.accepted == 0
 
 
+@pytest.mark.long
 @pytest.mark.untraced
 def test_every_bit_around_the_attachment(reading, container, tiny):
     variants = reading(tiny)

@@ -293,9 +293,9 @@ def test_controllers_are_compared_on_drawn_rigs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     done = []
     found = inteco_abs.sweep(
-        ["boundary-layer", "reaching-law"],
+        ["constant-rate", "reaching-law"],
         rigs="hard:3-4",
-        gains={"Mk": [2.0, 4.0]},
+        gains={"Mq": [2.0, 4.0]},
         settings=QUICK,
         run_up=False,
         jobs=1,
@@ -305,7 +305,7 @@ def test_controllers_are_compared_on_drawn_rigs(tmp_path, monkeypatch):
     assert done[-1] == (8, 8)
     assert repr(found) == "<Sweep of 4 configurations on hard:3-4: 8 of 8 stops>"
     assert found.to_pandas()["seed"].tolist() == [3, 4] * 4
-    assert found.facts()[0]["settings"] == {"controller.gains.Mk": "2.0"}
+    assert found.facts()[0]["settings"] == {"controller.gains.Mq": "2.0"}
     assert "slip RMS of 2 stops each" in found._repr_html_()
     assert len(found.plot().axes) == 1
     assert not list(tmp_path.iterdir())

@@ -39,7 +39,6 @@ def test_hopeless():
 def checked(tmp_path, monkeypatch, capfd):
     """Runs the check's tests over files in an empty folder: its exit code, what it printed, and the table's rows."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("PYTEST_XDIST_AUTO_NUM_WORKERS", "1")
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # they take most of the time
     monkeypatch.setenv("PYTEST_PLUGINS", "xdist.plugin")
     (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = long\n")
@@ -50,6 +49,7 @@ def checked(tmp_path, monkeypatch, capfd):
         others = Future()
         others.set_result(None)
         check = runpy.run_path(str(CHECKS))["Check"](long=long)
+        check.workers = 1
         check.tests("tests", "not long", others=others)
         code = check.report()
         printed = capfd.readouterr().out

@@ -67,9 +67,9 @@ def write(folder, law=LAW, k="K = 0.5\n"):
     return folder / "law.py"
 
 
-def test_what_a_controller_loads_is_kept_and_restored_for_a_replay(inteco_abs, tmp_path):
+def test_what_a_controller_loads_is_kept_and_restored_for_a_replay(main_here, tmp_path):
     write(tmp_path / "mine")
-    run = inteco_abs("run", *QUICK, "--controller", "mine/law.py:Law", "--out", "stop.mcap", "--json", check=0)
+    run = main_here("run", *QUICK, "--controller", "mine/law.py:Law", "--out", "stop.mcap", "--json", check=0)
     assert "replay_problem" not in json.loads(run.stdout)
     assert not list(tmp_path.rglob("__pycache__"))
     kept = read_session(tmp_path / "stop.mcap").attachments
@@ -77,16 +77,16 @@ def test_what_a_controller_loads_is_kept_and_restored_for_a_replay(inteco_abs, t
     assert set(unpacked(kept["controller.zip"]).files) == NAMES
     assert zipfile.ZipFile(io.BytesIO(kept["controller.zip"])).namelist()[0] == "law.py"
     (tmp_path / "mine" / "my_gains.py").write_text("K = 0.4\n")
-    changed = inteco_abs("replay", "stop.mcap", "--controller", "mine/law.py:Law", check=4)
+    changed = main_here("replay", "stop.mcap", "--controller", "mine/law.py:Law", check=4)
     assert "the controller's source differs from the session's" in changed.stderr
     shutil.rmtree(tmp_path / "mine")
-    assert "none differ" in inteco_abs("replay", "stop.mcap", "--controller", "recorded", check=0).stdout
-    refused = inteco_abs("replay", "stop.mcap", check=2).stderr
+    assert "none differ" in main_here("replay", "stop.mcap", "--controller", "recorded", check=0).stdout
+    refused = main_here("replay", "stop.mcap", check=2).stderr
     assert "name that file to replay it, or recorded to run the code that the session keeps" in refused
-    same = inteco_abs("what-if", "stop.mcap", "--controller", "recorded", "--set", "controller.reference_slip=0.2",
+    same = main_here("what-if", "stop.mcap", "--controller", "recorded", "--set", "controller.reference_slip=0.2",
                       "--json", check=0)  # fmt: skip
     assert json.loads(same.stdout)["alternatives"][0]["horizon_s"] is None
-    nothing = inteco_abs("what-if", "stop.mcap", "--controller", "recorded", check=2)
+    nothing = main_here("what-if", "stop.mcap", "--controller", "recorded", check=2)
     assert "nothing to compare" in nothing.stderr
 
 
@@ -99,14 +99,14 @@ def test_a_session_without_a_controller_of_a_file_keeps_none(inteco_abs):
 
 
 @pytest.mark.parametrize("name", ["Random", pytest.param("Clock", marks=pytest.mark.long)])
-def test_a_run_whose_decisions_do_not_replay_says_so(inteco_abs, tmp_path, name):
+def test_a_run_whose_decisions_do_not_replay_says_so(main_here, tmp_path, name):
     (tmp_path / "law.py").write_text(UNSTEADY)
-    run = inteco_abs("run", *QUICK, "--controller", f"law.py:{name}", "--json", check=0)
+    run = main_here("run", *QUICK, "--controller", f"law.py:{name}", "--json", check=0)
     problem = json.loads(run.stdout)["replay_problem"]
     assert problem.startswith("the decisions do not replay: ")
     assert "brake_request; the controller uses a clock, random numbers, or something outside of itself" in problem
     assert f"inteco-abs: {problem}" in run.stderr
-    series = inteco_abs("repeat", 1, *QUICK, "--controller", f"law.py:{name}", "-o", "series", check=0)
+    series = main_here("repeat", 1, *QUICK, "--controller", f"law.py:{name}", "-o", "series", check=0)
     assert "stop-1.mcap: the decisions do not replay: " in series.stderr
 
 

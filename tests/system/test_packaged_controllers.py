@@ -93,9 +93,9 @@ def problem_of(name) -> str:
     return caught.value.mistakes[0].problem
 
 
-def test_it_is_listed_with_its_package_and_gains(inteco_abs, site):
-    site.install()
-    text = inteco_abs("controllers", check=0, environment=site.environment).stdout
+def test_it_is_listed_with_its_package_and_gains(main_here, here):
+    here.install()
+    text = main_here("controllers", check=0).stdout
     assert re.search(r"^threshold +Brake on below the reference \[abs-threshold 1\.2\]$", text, re.MULTILINE)
     assert "duty = 0.7  0..1: duty while the slip is low" in text
 
@@ -123,21 +123,21 @@ def test_it_runs_by_its_name_and_is_kept_with_package_gains_and_source(recorded)
     assert session.attachments["controller.py"] == LAW.encode()
 
 
-def test_a_replay_finds_it_by_the_name_in_the_session(inteco_abs, site, recorded):
-    site.install()
-    again = inteco_abs("replay", recorded[0], "--json", check=0, environment=site.environment)
+def test_a_replay_finds_it_by_the_name_in_the_session(main_here, here, recorded):
+    here.install()
+    again = main_here("replay", recorded[0], "--json", check=0)
     assert json.loads(again.stdout)["differing"] == 0
     assert again.stderr == "imported\n"
 
 
-def test_a_replay_without_the_package_is_refused_with_its_name(inteco_abs, recorded):
-    without = inteco_abs("replay", recorded[0], check=2)
+def test_a_replay_without_the_package_is_refused_with_its_name(main_here, recorded):
+    without = main_here("replay", recorded[0], check=2)
     assert "'threshold' of the package 'abs-threshold 1.2', which is not installed" in without.stderr
 
 
-def test_a_replay_reports_a_changed_package_or_source(inteco_abs, site, recorded):
-    site.install(version="1.3", threshold_law=LAW + "\n# changed\n")
-    again = inteco_abs("replay", recorded[0], check=0, environment=site.environment)
+def test_a_replay_reports_a_changed_package_or_source(main_here, here, recorded):
+    here.install(version="1.3", threshold_law=LAW + "\n# changed\n")
+    again = main_here("replay", recorded[0], check=0)
     assert "was run with abs-threshold 1.2; this is abs-threshold 1.3" in again.stderr
     assert "the controller's source differs from the session's" in again.stderr
 
@@ -168,18 +168,18 @@ def test_it_runs_in_real_time(command_path, site, untraced, tmp_path):
     assert session.attachments["controller.py"] == LAW.encode()
 
 
-def test_a_configuration_may_name_it(inteco_abs, site, tmp_path):
-    site.install()
+def test_a_configuration_may_name_it(main_here, here, tmp_path):
+    here.install()
     (tmp_path / "rig.toml").write_text('[controller]\nname = "threshold"\ngains = { duty = 1.5 }\n')
-    run = inteco_abs("run", "--virtual", "--config", "rig.toml", check=2, environment=site.environment)
+    run = main_here("run", "--virtual", "--config", "rig.toml", check=2)
     assert "controller.gains.duty (rig.toml, line 3): 1.5: must be a number in 0..1" in run.stderr
 
 
 @pytest.mark.parametrize("arguments", [["run", "--help"], ["profiles"]])
-def test_nothing_is_imported_by_verbs_that_need_none(inteco_abs, site, arguments):
-    site.install()
-    inteco_abs(*arguments, check=0, environment=site.environment)
-    assert site.imported == []
+def test_nothing_is_imported_by_verbs_that_need_none(main_here, here, arguments):
+    here.install()
+    main_here(*arguments, check=0)
+    assert here.imported == []
 
 
 def test_nothing_is_imported_but_what_was_requested(here):
@@ -197,12 +197,12 @@ def test_nothing_is_imported_but_what_was_requested(here):
     assert here.imported == ["threshold_law"]
 
 
-def test_a_shipped_name_stays_the_shipped_controllers(inteco_abs, site):
-    site.install("abs-relay", "0.1", ["relay = relay_law:Threshold"], relay_law=LAW)
-    text = inteco_abs("controllers", check=0, environment=site.environment).stdout
+def test_a_shipped_name_stays_the_shipped_controllers(main_here, here):
+    here.install("abs-relay", "0.1", ["relay = relay_law:Threshold"], relay_law=LAW)
+    text = main_here("controllers", check=0).stdout
     assert re.search(r"^relay +Brake on while the slip is below the reference", text, re.MULTILINE)
     assert "broken: relay of the package abs-relay 0.1: a controller of this name ships" in text
-    assert site.imported == []
+    assert here.imported == []
 
 
 def test_a_name_that_two_packages_offer_is_refused_with_both(here):
@@ -250,10 +250,10 @@ def test_a_broken_controller_is_refused_with_its_reason(here, source, words):
     assert words in problem
 
 
-def test_a_broken_package_is_listed_as_broken_and_others_still_work(inteco_abs, site):
-    site.install()
-    site.install("abs-broken", "0.1", ["broken = broken_law:Law", "worse = 7"], broken_law="import no_such_module\n")
-    found = json.loads(inteco_abs("controllers", "--json", check=0, environment=site.environment).stdout)
+def test_a_broken_package_is_listed_as_broken_and_others_still_work(main_here, here):
+    here.install()
+    here.install("abs-broken", "0.1", ["broken = broken_law:Law", "worse = 7"], broken_law="import no_such_module\n")
+    found = json.loads(main_here("controllers", "--json", check=0).stdout)
     assert found["controllers"]["threshold"]["package"] == "abs-threshold 1.2"
     assert found["controllers"]["threshold"]["gains"][0]["name"] == "duty"
     assert found["controllers"]["relay"]["package"] == ""
@@ -262,7 +262,7 @@ def test_a_broken_package_is_listed_as_broken_and_others_still_work(inteco_abs, 
         "worse": "abs-broken 0.1",
     }
     assert "no_such_module" in found["broken"][0]["problem"]
-    run = inteco_abs("run", "--virtual", "--controller", "broken", check=2, environment=site.environment)
+    run = main_here("run", "--virtual", "--controller", "broken", check=2)
     assert "controller.name: broken of the package abs-broken 0.1: ModuleNotFoundError" in run.stderr
 
 

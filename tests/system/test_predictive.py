@@ -28,17 +28,17 @@ def test_it_brings_its_observer_holds_the_slip_and_replays_bit_for_bit(ours, int
     assert (replay["differing"], replay["ticks"]) == (0, ours["ticks"])
 
 
-def test_another_estimator_is_refused_before_anything_begins(inteco_abs, tmp_path):
-    run = inteco_abs("run", "--virtual", *OURS, "--estimator", "kalman", check=2)
+def test_another_estimator_is_refused_before_anything_begins(main_here, tmp_path):
+    run = main_here("run", "--virtual", *OURS, "--estimator", "kalman", check=2)
     assert "estimator.name: 'kalman': the controller predictive-reaching needs 'observer'" in run.stderr
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.untraced
-def test_a_lag_to_be_inverted_is_a_gain_of_the_session(card, inteco_abs):
+def test_a_lag_to_be_inverted_is_a_gain_of_the_session(card, main_here):
     slow = ("--set", "experiment.start_speed_rad_s=60")
     with_lag = card(*slow, "--set", "controller.gains.lag_s=0.05", out="lag.mcap")
     assert with_lag["reaching_time_s"] < (card(*slow)["reaching_time_s"] or math.inf)
-    info = json.loads(inteco_abs("info", "lag.mcap", "--json", check=0).stdout)
+    info = json.loads(main_here("info", "lag.mcap", "--json", check=0).stdout)
     assert info["metadata"]["controller"]["gain.lag_s"] == "0.05"
-    assert json.loads(inteco_abs("replay", "lag.mcap", "--json", check=0).stdout)["differing"] == 0
+    assert json.loads(main_here("replay", "lag.mcap", "--json", check=0).stdout)["differing"] == 0

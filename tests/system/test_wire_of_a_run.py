@@ -8,21 +8,21 @@ QUICK = ("--set", "experiment.start_speed_rad_s=30", "--set", "experiment.hold_s
 
 
 @pytest.fixture
-def captured(inteco_abs, tmp_path):
+def captured(main_here, tmp_path):
     def stop(*arguments, check=0):
-        inteco_abs("run", *QUICK, *arguments, "--out", "x.mcap", "--record-wire", "x.jsonl", check=check)
+        main_here("run", *QUICK, *arguments, "--out", "x.mcap", "--record-wire", "x.jsonl", check=check)
         return tmp_path / "x.jsonl"
 
     return stop
 
 
-def test_our_driver_writes_the_same_again_and_every_tick_is_there(captured, inteco_abs):
+def test_our_driver_writes_the_same_again_and_every_tick_is_there(captured, main_here):
     captured("--virtual")
-    replay = json.loads(inteco_abs("wire", "replay", "x.jsonl", "--json", check=0).stdout)
+    replay = json.loads(main_here("wire", "replay", "x.jsonl", "--json", check=0).stdout)
     assert (replay["differing"], replay["failed"], replay["ended"]) == (0, 0, "")
-    ticks = json.loads(inteco_abs("info", "x.mcap", "--json", check=0).stdout)["ticks"]
+    ticks = json.loads(main_here("info", "x.mcap", "--json", check=0).stdout)["ticks"]
     assert ticks <= replay["exchanges"] <= ticks + 1
-    shown = json.loads(inteco_abs("wire", "show", "x.jsonl", "--json", check=0).stdout)
+    shown = json.loads(main_here("wire", "show", "x.jsonl", "--json", check=0).stdout)
     assert shown["traffic"]["SEND"]["rate_hz"] == pytest.approx(2000, rel=0.01)
 
 
@@ -55,17 +55,17 @@ def test_a_capture_of_another_kind_of_board_is_refused(captured, inteco_abs):
     assert "usb2" in run.stderr
 
 
-def test_a_capture_is_never_overwritten_and_nothing_runs(inteco_abs, tmp_path):
+def test_a_capture_is_never_overwritten_and_nothing_runs(main_here, tmp_path):
     (tmp_path / "x.jsonl").write_text("precious")
-    run = inteco_abs("run", "--virtual", "--out", "x.mcap", "--record-wire", "x.jsonl", check=1)
+    run = main_here("run", "--virtual", "--out", "x.mcap", "--record-wire", "x.jsonl", check=1)
     assert "never overwritten" in run.stderr
     assert not (tmp_path / "x.mcap").exists()
     assert (tmp_path / "x.jsonl").read_text() == "precious"
 
 
-def test_a_capture_without_frames_is_refused(inteco_abs, tmp_path):
+def test_a_capture_without_frames_is_refused(main_here, tmp_path):
     (tmp_path / "x.jsonl").write_text(
         '{"format": "inteco-abs wire", "version": 1, "board": "usb2", "recorded_by": "x", "clock": "x"}\n'
     )
-    run = inteco_abs("wire", "replay", "x.jsonl", check=1)
+    run = main_here("wire", "replay", "x.jsonl", check=1)
     assert "x.jsonl" in run.stderr

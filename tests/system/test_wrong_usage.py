@@ -67,6 +67,7 @@ ROWS = [
     Row("a rate that is not a number", "mock-board --pty --truth-hz nan", 2, ("'nan'",), "a number in 0.1..1000 Hz"),
     Row("a blink too long", "identify-led --seconds 100", 2, ("'100'",), "a number in 0.1..60 s"),
     Row("a port beyond all", "run --foxglove 70000", 2, ("'70000'",), "a whole number in 0..65535"),
+    Row("a word for a port", "run --foxglove=viewer", 2, ("'viewer'",), "a whole number in 0..65535"),
     Row("speeds the wrong way", "design --speeds 100 50", 2, ("100 50: must rise",), "write --speeds 50 100"),
     Row("speeds with a comma", "design --speeds 10 99,5", 2, ("'99,5'",), "write 99.5"),
     Row("rigs in a range reversed", "sweep --rigs hard:9-0", 2, ("the range is reversed",), "write hard:0-9"),
