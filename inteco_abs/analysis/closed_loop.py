@@ -19,14 +19,13 @@ from inteco_abs.analysis.arithmetic import recorded_arithmetic
 from inteco_abs.analysis.gains import changes_for, make_due
 from inteco_abs.analysis.open_loop import braking_start
 from inteco_abs.analysis.replay import checked_blocks, require_inputs, samples_of
-from inteco_abs.analysis.tolerance import Array
 from inteco_abs.boards import Board, InProcessLink, board_behind
 from inteco_abs.config import RigConfig, SimulationConfig, load_config
 from inteco_abs.control import Controller, Gain, Pipeline, keeps_gain, make_controller, make_estimator, set_gain
 from inteco_abs.errors import SessionError, describe_error
 from inteco_abs.format import INTERNALS, TICK, TRUTH
 from inteco_abs.mock_board import Device, Truth, front_end_of
-from inteco_abs.sessions import BLOCK_TICKS, RunningCard, Session, joined_rows
+from inteco_abs.sessions import BLOCK_TICKS, Array, RunningCard, Session, joined_rows
 from inteco_abs.signals import BrakeDemand, Command, Estimate, Phase, Reason, Sample, Tick
 
 _SIMULATED_PROFILE: Final = "sim_usb2"
@@ -77,7 +76,7 @@ def continued(
     """
     require_inputs(session)
     row, last, state = _place_at(session, at_s)
-    simulation = own if _was_simulated(session) else _in_simulation(own)
+    simulation = own if session.metadata.get("rig", {}).get("simulated") == "true" else _in_simulation(own)
     result = _Result(session, other, row, keep=keep)
     log = _Log(row)
     with recorded_arithmetic(session):
@@ -198,10 +197,6 @@ def _place_at(session: Session, at_s: float) -> tuple[int, Any, Any]:
         f"{session.path}: {at_s:g} s after braking began the run neither spins up nor brakes; "
         f"choose a time in {running_s[0]:.3f}..{running_s[1]:.3f} s"
     )
-
-
-def _was_simulated(session: Session) -> bool:
-    return session.metadata.get("rig", {}).get("simulated") == "true"
 
 
 def _in_simulation(config: RigConfig) -> RigConfig:

@@ -12,13 +12,12 @@ from html import escape
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from inteco_abs.analysis.gains import listed_changes, recorded_gains
 from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 from inteco_abs.format import DOUBLE, INTERNALS, TICK, TRUTH, Role
 from inteco_abs.quantities import Quantity
-from inteco_abs.sessions import CONFIG_NAME, Session, card_of, internals_of, joined_rows
+from inteco_abs.sessions import CONFIG_NAME, Array, Session, card_of, internals_of, joined_rows
 from inteco_abs.signals import Phase
 
 _NOT_METRICS: Final = frozenset(
@@ -26,8 +25,6 @@ _NOT_METRICS: Final = frozenset(
     | {"payload_sha256"}
 )
 _BLOCK_TICKS: Final = 1 << 14
-
-Array = npt.NDArray[Any]
 
 
 class Change(NamedTuple):

@@ -18,7 +18,6 @@ from inteco_abs.analysis.arithmetic import recorded_arithmetic
 from inteco_abs.analysis.compiling import compiled_loops
 from inteco_abs.analysis.gains import changes_for, make_due
 from inteco_abs.analysis.replay import require_known
-from inteco_abs.analysis.tolerance import Array
 from inteco_abs.config import RigConfig, apply_setting, parse_config
 from inteco_abs.control import (
     Controller,
@@ -31,7 +30,7 @@ from inteco_abs.control import (
 )
 from inteco_abs.errors import ConfigError, ConfigIssue, SessionError, describe_error
 from inteco_abs.quantities import finite
-from inteco_abs.sessions import Session, session_config
+from inteco_abs.sessions import Array, Session, session_config
 from inteco_abs.signals import BrakeDemand, Command, Phase, Sample
 
 DUTY_THRESHOLD: Final = 0.01

@@ -21,6 +21,7 @@ from inteco_abs.sessions import (
     RECOVERED,
     Session,
     describe_other_arithmetic,
+    joined_rows,
     other_arithmetic,
     session_config,
 )
@@ -226,7 +227,7 @@ class _Comparison:
 
     def add(self, logged: Array, again: Array) -> None:
         """Add the decisions `again` on the next block of the log."""
-        self._logged, self._again = _joined(self._logged, logged), _joined(self._again, again)
+        self._logged, self._again = joined_rows(self._logged, logged), joined_rows(self._again, again)
         times_ns = self._logged["time_ns"].astype(np.int64)
         # what a tick's own time should be depends on the tick after it
         self._judge(min(int(np.searchsorted(times_ns, times_ns[-1] - self._reach_ns)), len(times_ns) - 1))
@@ -286,12 +287,6 @@ class _Comparison:
             tuple(shift for each in self._shifts.values() for shift in each.found()),
             other_arithmetic(session.metadata.get("software", {})) if self._first else {},
         )
-
-
-def _joined(before: Array, after: Array) -> Array:
-    rows = np.empty(len(before) + len(after), TICK.dtype)
-    rows[: len(before)], rows[len(before) :] = before, after
-    return rows
 
 
 def _count(counts: dict[str, int], name: str, where: Array) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inteco_abs.benchmark.laws import Law
-from inteco_abs.montecarlo import SampleSet, SweepRow, bootstrap_ranks, one_at_a_time, parse_draws
+from inteco_abs.montecarlo import Distribution, SampleSet, SweepRow, bootstrap_ranks, one_at_a_time, parse_draws
 from inteco_abs.quantities import finite
 
 POPULATIONS: Final = ("nominal", "hard", "rough", "slow", "capped", "wild")
@@ -63,17 +63,15 @@ def _figures(row: SweepRow) -> dict[str, Any]:
         "never_arrived": round(summary.never_entered * summary.stops),
         "worst_seed": row.seeds.item(worst.worst),
         "worst_slip_rms": _rounded(worst.largest),
-        **{name: dict(_spread(row[metric])) for name, metric in METRICS.items()},
+        **{name: dict(_spread(row[metric], summary.spreads[metric])) for name, metric in METRICS.items()},
     }
 
 
-def _spread(values: NDArray[np.float64]) -> Iterator[tuple[str, Any]]:
+def _spread(values: NDArray[np.float64], known: Distribution) -> Iterator[tuple[str, Any]]:
     """Median and p99 with their intervals of 95 %; None is what a stop that has no such figure is worth."""
     ranked = np.sort(np.where(np.isnan(values), np.inf, values))
     for name, share in _SHARES.items():
-        place = share * (len(ranked) - 1)
-        below, above = ranked[math.floor(place)], ranked[math.ceil(place)]
-        yield name, _rounded(below if below == above else below + (above - below) * (place % 1.0))
+        yield name, _rounded(getattr(known, name))
         yield f"{name}_interval", [_rounded(ranked[rank]) for rank in bootstrap_ranks(len(ranked), share, _CONFIDENCE)]
 
 

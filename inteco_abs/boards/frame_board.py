@@ -9,7 +9,7 @@ from typing import Final
 
 from firmware_protocol import FrameField, FrameTable, Logic, ProtocolError
 from firmware_protocol.fields import BYTE_BITS, first_word, sent_back
-from firmware_protocol.pwm import PWM_FULL_WIDTH
+from firmware_protocol.pwm import PWM_FULL_WIDTH, PWM_MODES
 from inteco_abs.boards.authorization import read_only_reason
 from inteco_abs.boards.board import STILL_ON, Board, BoardReading, Identity
 from inteco_abs.boards.board_clock import BoardClock
@@ -22,7 +22,6 @@ from inteco_abs.config import BoardConfig
 from inteco_abs.errors import BoardError, ConfigError, ConfigIssue, LinkError, NoAnswerError
 from inteco_abs.signals import Command, pwm_steps
 
-MODES: Final = ("8-bit", "12-bit")
 _MOST_OLD: Final = 100
 """A pause leaves fewer answers to older requests than this."""
 _SHARED: Final = ("pin_mode", "pin_direction", "pin_output", "encoder_reset", "timer_reset", "timer_mode")
@@ -55,7 +54,7 @@ class FrameBoard(Board):
         self.engines = link.engines
         self._wiring = wiring
         self._logic = logic = self._logic_of(wiring)
-        self._mode = MODES.index(wiring.pwm_mode)
+        self._mode = PWM_MODES.index(wiring.pwm_mode)
         self._full = PWM_FULL_WIDTH[self._mode]
         _require_channels(wiring, logic)
         drive, brake = f"pwm{wiring.drive_pwm}_width", f"pwm{wiring.brake_pwm}_width"

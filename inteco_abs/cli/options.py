@@ -79,9 +79,6 @@ class Finite(click.FloatRange):
 class Whole(click.IntRange):
     """A whole number within its range."""
 
-    def __init__(self, least: int | None = None, most: int | None = None) -> None:
-        super().__init__(least, most)
-
     def _describe_range(self) -> str:
         """Return the range for the help, as `Finite` does."""
         return "" if self.min is None and self.max is None else super()._describe_range()

@@ -24,11 +24,12 @@ def viewer_layout(viewer: str, out: Path | None) -> int:
     It shows speeds, slip, duties, switching function, timing and log. Lichtblick and Foxglove: Layouts, Import from
     file. PlotJuggler: plotjuggler --layout FILE --datafile SESSION, then choose the topics /abs/tick and /sim/truth.
     """
-    from inteco_abs.views.layouts import layout_of, write_layout
+    from inteco_abs.sessions import write_file
+    from inteco_abs.views.layouts import layout_of
 
     if out is None:
         say(layout_of(viewer).decode(), nl=False)
     else:
-        write_layout(viewer, out)
+        write_file(out, layout_of(viewer))
         say(str(out))
     return 0

@@ -12,6 +12,7 @@ from inteco_abs.cli.options import DIFFERS, FILE, RunOptions, VerbGroup, Whole, 
 from inteco_abs.cli.terminal import print_json, say
 from inteco_abs.cli.terminal import show as print_rich
 from inteco_abs.errors import ConfigError
+from inteco_abs.quantities import shown
 
 if TYPE_CHECKING:
     from inteco_abs.boards.board_report import BoardReport
@@ -78,8 +79,8 @@ def show(file: Path, as_json: bool) -> int:
     _print_table(("", ""), facts)
     say()
     rows = [
-        (role, str(one.messages), _number(one.rate_hz), _number(one.median_interval_s), _number(one.longest_interval_s))
-        for role, one in summary.traffic.items()
+        (role, str(each.messages), *(shown(number, ".6g") for number in each[1:]))
+        for role, each in summary.traffic.items()
     ]
     _print_table(("messages", "count", "per second", "median interval s", "longest s"), rows)
     return 0
@@ -229,10 +230,6 @@ def _of_session(file: Path) -> Capture | None:
     from inteco_abs.sessions import is_session_file, read_frames
 
     return read_frames(file) if is_session_file(file) else None
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.6g}"
 
 
 def _print_json(data: dict[str, Any]) -> None:

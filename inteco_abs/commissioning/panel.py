@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
+from firmware_protocol.pwm import PWM_MODES
 from inteco_abs.config import RigConfig
 from inteco_abs.realtime.processes.manual import HELD_NS
 from inteco_abs.signals import EXPLANATIONS, BoardFlags, Command, Reason
@@ -24,7 +25,6 @@ AGAIN: Final = (
     "again, and the guardian is drilled again. Counts and sliders begin at zero, and nothing turns until "
     "you hold the space bar.\nAny other key leaves the outputs off."
 )
-_MODES: Final = ("8-bit", "12-bit")
 _RPM: Final = 9.549296585513721
 """rpm per rad/s: 60 / (2 pi)."""
 
@@ -156,7 +156,7 @@ class Panel:
         channels: tuple[tuple[Output, int], ...] = ("drive", board.drive_pwm), ("brake", board.brake_pwm)
         for output, channel in channels:
             if f"pwm{channel}_mode" in values:
-                mode, prescaler = _MODES[values[f"pwm{channel}_mode"]], values[f"pwm{channel}_prescaler"]
+                mode, prescaler = PWM_MODES[values[f"pwm{channel}_mode"]], values[f"pwm{channel}_prescaler"]
                 fits = (mode, prescaler) == (board.pwm_mode, board.pwm_prescaler)
                 found.append(Pwm(output, channel, mode, prescaler, fits))
         return found

@@ -10,6 +10,7 @@ import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
+from copy import deepcopy
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -85,7 +86,7 @@ class ProfileDraft:
     @property
     def table(self) -> Table:
         """A copy of the draft's sections and keys."""
-        return _deep_copy(self._table)
+        return deepcopy(self._table)
 
     @property
     def board(self) -> str:
@@ -115,7 +116,7 @@ class ProfileDraft:
 
     def write(self, values: Mapping[str, Any]) -> None:
         """Set keys such as `board.drive_pwm`; a sign-off that does not cover them is removed. Raises ConfigError."""
-        before, self._table = self._table, _deep_copy(self._table)
+        before, self._table = self._table, deepcopy(self._table)
         for path, value in values.items():
             *sections, key = path.split(".")
             section = self._table
@@ -172,11 +173,6 @@ def results_of(file: Path) -> Path:
     return file.with_suffix(".results.json")
 
 
-def _deep_copy(table: Table) -> Table:
-    """A copy whose inner tables are copies too."""
-    return {key: _deep_copy(value) if isinstance(value, dict) else value for key, value in table.items()}
-
-
 def _no_results(board: str, profile: str) -> dict[str, Any]:
     return {"schema_version": _SCHEMA, "board": board, "profile": profile, "steps": {}}
 
@@ -200,7 +196,7 @@ def _read_results(file: Path) -> dict[str, Any]:
 
 
 def _with_settings(table: Table, settings: Sequence[str]) -> Table:
-    table = _deep_copy(table)
+    table = deepcopy(table)
     mistakes = [mistake for setting in settings for mistake in apply_setting(table, setting)]
     if any(setting.partition("=")[0].strip() in {f"board.{key}" for key in SIGN_OFF} for setting in settings):
         mistakes.append(ConfigIssue("--set", "a draft is signed in the last step of the commissioning"))

@@ -12,12 +12,11 @@ from inteco_abs.config import load_config
 from inteco_abs.control import make_estimator
 from inteco_abs.course.exercise import Exercise
 from inteco_abs.course.measured import Draw, Measured, median
-from inteco_abs.course.recordings import Decide, Floats, Recording, record
+from inteco_abs.course.recordings import COUNTS_PER_TURN, Decide, Floats, Recording, record
 from inteco_abs.course.submission import Submission
 from inteco_abs.rig import Plant
 from inteco_abs.signals import BoardFlags, Command, Sample
 
-COUNTS_PER_TURN: Final = 2048
 _PERIOD_S: Final = 0.0005
 _LONGEST_S: Final = 1.8
 _ROLLING_S: Final = 0.2

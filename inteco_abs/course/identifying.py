@@ -11,11 +11,10 @@ import numpy as np
 
 from inteco_abs.course.exercise import Exercise
 from inteco_abs.course.measured import Draw, Measured, median
-from inteco_abs.course.recordings import Decide, Recording, record
+from inteco_abs.course.recordings import COUNTS_PER_TURN, Decide, Recording, record
 from inteco_abs.course.submission import Submission, SubmissionError
 from inteco_abs.rig import RigVariation, settled_torque
 
-COUNTS_PER_TURN: Final = 2048
 DUTY: Final = 0.6
 """Duty at which the brake's torque is asked for."""
 _COAST_PERIOD_S: Final = 0.01

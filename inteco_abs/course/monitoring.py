@@ -14,12 +14,11 @@ from inteco_abs.config import load_config
 from inteco_abs.control import Guard
 from inteco_abs.course.exercise import Exercise
 from inteco_abs.course.measured import Draw, Measured, median
-from inteco_abs.course.recordings import Recording, Whole, record
+from inteco_abs.course.recordings import COUNTS_PER_TURN, Recording, Whole, record
 from inteco_abs.course.submission import Submission
 from inteco_abs.rig import Plant, RigVariation
 from inteco_abs.signals import BoardFlags, Command, Estimate, Reason, Sample
 
-COUNTS_PER_TURN: Final = 2048
 FAULTS: Final = (
     "wheel-stuck", "road-stuck", "wheel-slips", "road-slips", "wheel-reversed",
     "brake-dead", "brake-stuck", "drive-dead",

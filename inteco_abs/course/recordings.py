@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from inteco_abs.rig import Plant, RigVariation
 from inteco_abs.rig.plant import read_encoders
 
+COUNTS_PER_TURN: Final = 2048
 FASTEST_STEP_S: Final = 0.0005
 Decide = Callable[[float, Plant], tuple[float, float]]
 """Duties of drive and brake from the time in s and the rig as it is."""

@@ -34,7 +34,7 @@ def replay_problem(config: RigConfig, plan: Plan, result: RunResult) -> str:
     late = late_files()
     try:
         with redirect_stdout(io.StringIO()), _without_copies(), time_limit():  # it has printed already
-            problem = _difference(config, plan, _beginning(Path(result.card["session"])))
+            problem = _difference(config, plan, read_session(Path(result.card["session"])).first(CHECKED_TICKS))
     except AbsError as error:
         problem = f"the replay of its decisions cannot be checked: {error}"
     if late:
@@ -64,11 +64,6 @@ def _children() -> list[Any]:
     """Living processes of `multiprocessing`, which a program without any need not import."""
     multiprocessing = sys.modules.get("multiprocessing.process")
     return multiprocessing.active_children() if multiprocessing else []
-
-
-def _beginning(path: Path) -> Session:
-    session = read_session(path)
-    return session.first(CHECKED_TICKS)
 
 
 def _difference(config: RigConfig, plan: Plan, session: Session) -> str:

@@ -113,7 +113,8 @@ def named_executor(text: str) -> Executor:
     Raises ConfigError if there is none, and AbsError if it cannot be had.
     """
     name, _, argument = text.partition("=")
-    registry = _registry()
+    shipped = {"dask": "inteco_abs.montecarlo.executors:dask_executor"}
+    registry = Registry("an executor", "inteco_abs.executors", _OPTION, shipped, _require_callable)
     if ":" in name:
         with foreign_code(_OPTION, name):
             factory = attribute(name)
@@ -126,11 +127,6 @@ def named_executor(text: str) -> Executor:
     if not isinstance(made, Executor):
         raise ConfigError.of(_OPTION, f"{text}: made a {type(made).__name__}, not a concurrent.futures.Executor")
     return made
-
-
-def _registry() -> Registry[ExecutorFactory]:
-    shipped = {"dask": "inteco_abs.montecarlo.executors:dask_executor"}
-    return Registry("an executor", "inteco_abs.executors", _OPTION, shipped, _require_callable)
 
 
 def _require_callable(path: str, part: object, what: str) -> ExecutorFactory:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -59,7 +59,8 @@ def combinations(
     found: list[Combination] = []
     mistakes: dict[ConfigIssue, None] = {}
     for name, estimator in product(names, estimators):
-        for chosen in _choices(grids[name]):
+        for values in product(*grids[name].values()):
+            chosen = dict(zip(grids[name], values, strict=True))
             own = [f"{_CONTROLLER}={name}", *([f"{_ESTIMATOR}={estimator}"] if estimator else [])]
             given = [*(f"{key}={value}" for key, value in chosen.items()), *own]
             try:
@@ -109,8 +110,3 @@ def _of_controller(name: str, names: Sequence[str], axes: Axes, controllers: Map
 
     others = set().union(*map(gains, names)) - gains(name)
     return {key: values for key, values in axes.items() if key not in others}
-
-
-def _choices(axes: Axes) -> Iterator[dict[str, str]]:
-    for values in product(*axes.values()):
-        yield dict(zip(axes, values, strict=True))

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from inteco_abs.montecarlo import StopResults
 from inteco_abs.quantities import finite
@@ -65,7 +64,7 @@ def compare(ours: StopResults, rival: StopResults) -> Comparison:
     It is confirmed by a median ratio of slip RMS below 0.99 and, for several rigs, a two-sided sign test at 5 %. It is
     not if neither law arrives on the median rig: two laws that do not hold the slip have no accuracy to compare.
     """
-    ratios = {name: _median(ours[name] / rival[name]) for name in RATIOS}
+    ratios = {name: finite(float(np.median(ours[name] / rival[name]))) for name in RATIOS}
     better = int(np.sum(ours[ACCURACY] < rival[ACCURACY]))
     worse = int(np.sum(ours[ACCURACY] > rival[ACCURACY]))
     ratio, stops = ratios[ACCURACY], len(ours)
@@ -118,10 +117,6 @@ def _figures(ratios: dict[str, float | None], stops: int, better: int) -> str:
 
 def _times(ratio: float | None) -> str:
     return "not comparable with" if ratio is None else f"{ratio:.2f} times"
-
-
-def _median(ratios: NDArray[np.float64]) -> float | None:
-    return finite(float(np.median(ratios)))
 
 
 def _chance(wins: int, losses: int) -> float:

@@ -59,7 +59,7 @@ def render_paper(report: Mapping[str, Any]) -> RenderableType:
     parts: list[RenderableType] = []
     for title, rows in compared:
         parts.append(_table(title, [(_law(row), row) for row in rows]))
-    parts.append(_table(_BROKEN, [(_broken(row), row) for row in alone]))
+    parts.append(_table(_BROKEN, [(row["title"], row) for row in alone]))
     parts += [Text(line) for line in (_theory(report["simulation"]), *_verdicts(report))]
     return Group(*parts, Text(_NOTE, style="dim"))
 
@@ -79,7 +79,7 @@ def paper_markdown(report: Mapping[str, Any], command: str) -> str:
     compared, alone = _grouped(report)
     lines = ["# The paper again", "", f"Made by `{command}`.", ""]
     for title, rows in (*compared, (_BROKEN, alone)):
-        names = [_broken(row) if rows is alone else _law(row) for row in rows]
+        names = [row["title"] if rows is alone else _law(row) for row in rows]
         headings = ["", *(column.heading.replace("\n", " ") for column in _COLUMNS), "ratio"]
         lines += [f"## {title[0].upper()}{title[1:]}", "", _line(headings), _line(["---"] * len(headings))]
         lines += [_line([name, *_cells(row)]) for name, row in zip(names, rows, strict=True)]
@@ -111,10 +111,6 @@ def _law(row: Mapping[str, Any]) -> str:
     if row["pairing"]:
         return f"constant rate, Mq {row['Mq_per_s']:.4g}: {row['pairing']}"
     return f"the paper's law, Mk {row['Mk_per_s']:g}, Mq {row['Mq_per_s']:g}"
-
-
-def _broken(row: Mapping[str, Any]) -> str:
-    return str(row["title"])
 
 
 def _cells(row: Mapping[str, Any]) -> Iterator[str]:

@@ -9,7 +9,6 @@ from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from inteco_abs.config import RigConfig
 from inteco_abs.control import swing_band
@@ -17,15 +16,13 @@ from inteco_abs.errors import SessionError
 from inteco_abs.format import TICK, TRUTH
 from inteco_abs.quantities import finite
 from inteco_abs.rig import nominal_parameters
-from inteco_abs.sessions.metrics import FALL_BACKS, SlipErrors, StopTrace, stop_metrics
+from inteco_abs.sessions.metrics import FALL_BACKS, Array, SlipErrors, StopTrace, stop_metrics
 from inteco_abs.sessions.reader import Session, session_config
 from inteco_abs.sessions.rows import in_step
 from inteco_abs.signals import BoardFlags, Phase
 
 _MOST_DIGITS: Final = 18
 """Most digits of an integer in a card; the counts of a run have fewer."""
-
-Array = npt.NDArray[Any]
 
 
 def result_card(config: RigConfig | None, ticks: Array, truth: Array) -> dict[str, Any]:

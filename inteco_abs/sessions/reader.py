@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
-from typing import BinaryIO, Final, NamedTuple, Self, TypeVar, overload
+from typing import BinaryIO, Final, NamedTuple, Self, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -53,6 +53,7 @@ from inteco_abs.sessions.rows import (
     Chunks,
     FirstTicks,
     GatheredRows,
+    Item,
     Part,
     Rows,
     RowsInMemory,
@@ -84,9 +85,6 @@ _OTHERS: Final = {
     b"inteco-abs ring": "the memory of a run: inteco-abs recover FILE --out OUT makes a session of it",
 }
 """Other types of files by their first bytes."""
-
-
-Item = TypeVar("Item")
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,8 +23,6 @@ _MOST_ALIKE: Final = 20
 _AT_THE_START: Final = ("rig", "controller")
 _AT_THE_END: Final = ("timing", "result", "integrity")
 
-Array = npt.NDArray[np.void]
-
 
 class Severity(StrEnum):
     """Whether the rest of the session can be trusted."""

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from inteco_abs.analysis import recorded_gains, settings_of, times_of_changes_ns
 from inteco_abs.errors import ConfigError, ConfigIssue
-from inteco_abs.sessions import PhaseSpan, Session
+from inteco_abs.sessions import Array, PhaseSpan, Session
 from inteco_abs.signals import Phase
 
 PALETTE: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
@@ -19,8 +18,6 @@ MOST: Final = len(PALETTE)
 """Most sessions in one figure or page: one a colour."""
 _MOST_SETTINGS: Final = 3
 _COMPARED_BEFORE: Final = ("controller.", "estimator.", "profile")
-
-Array = npt.NDArray[Any]
 
 
 def require_distinct(sessions: Sequence[Session]) -> None:

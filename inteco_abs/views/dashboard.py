@@ -39,7 +39,6 @@ _ROOMY: Final = 30
 _TIMED: Final = {Phase.SPIN_UP: "{:.1f} s", Phase.BRAKING: "{:.2f} s", Phase.STOPPED: "{:.2f} s"}
 _STEPS: Final = (Phase.IDLE, Phase.ARMED, Phase.SPIN_UP, Phase.BRAKING, Phase.STOPPED, Phase.DONE)
 _AT_REST: Final = frozenset({Phase.ARMED, Phase.SPIN_UP, Phase.BRAKING, Phase.STOPPED, Phase.DONE})
-_OVER: Final = frozenset({Phase.DONE, Phase.FAULT})
 _ROAD, _WHEEL, _SLIP, _GOOD, _BAD = "cyan", "magenta", "green", "green", "bold red"
 
 

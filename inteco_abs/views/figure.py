@@ -11,11 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from inteco_abs.errors import AbsError, ConfigError, describe_disk
 from inteco_abs.format import TICK, TRUTH
-from inteco_abs.sessions import Session, atomic_write, check_output
+from inteco_abs.sessions import Array, Session, atomic_write, check_output
 from inteco_abs.views.comparison import PALETTE, changes_s, held_spans, labels, require_distinct, since_s, start_ns
 from inteco_abs.views.decimation import Decimator
 from inteco_abs.views.envelope import plot_envelope
@@ -31,7 +30,7 @@ _WHEEL, _ROAD, _OTHER = COLOURS
 FORMATS: Final = ("png", "svg", "pdf", "pgf")
 _DASHES: Final = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1.5, 1, 1.5)), (0, (8, 2)), (0, (3, 1, 1, 1, 1, 1)))
 """One for each colour of the palette, for prints in grey."""
-_BEFORE_S: Final = 0.2
+BEFORE_S: Final = 0.2
 _MM_PER_INCH: Final = 25.4
 _TRUETYPE: Final = 42
 """Font type in a PDF that journals accept."""
@@ -42,7 +41,7 @@ _DRAWN_POINTS: Final = 100_000
 _DRAWN: Final[Sequence[str]] = (
     "wheel_speed_rad_s", "road_speed_rad_s", "slip", "slip_reference", "torque_demand_nm", "brake", "brake_torque_nm",
 )  # fmt: skip
-_AT_REST_RAD_S: Final = 1.0
+AT_REST_RAD_S: Final = 1.0
 """Road speed below which slip is not drawn: both speeds are a few counts."""
 _ROLLING_RAD_S: Final = 10.0
 """Road speed and slip for a locked wheel, as in the result card's `lock_fraction`."""
@@ -50,12 +49,10 @@ _LOCKED: Final = 0.9
 _WHOLE_SLIP: Final = 1.02
 _SLIP_AIR: Final = 1.2
 _SLIP_STEP: Final = 0.05
-_TOP_NM: Final = 10.0
+TOP_NM: Final = 10.0
 _SALT: Final = "inteco-abs"
 """Fixes names inside an SVG, which are otherwise random."""
 _PLAIN: Final = FigureOptions()
-
-Array = npt.NDArray[Any]
 
 
 class _DrawnSession(NamedTuple):
@@ -224,9 +221,9 @@ def _true(parts: Sequence[_DrawnSession]) -> bool:
     return all(len(part.truth) for part in parts)
 
 
-def _slip(rows: Array) -> Array:
+def moving_slip(rows: Array) -> Array:
     """Slip; NaN where the road wheel is about at rest."""
-    return np.where(rows["road_speed_rad_s"] >= _AT_REST_RAD_S, rows["slip"], np.nan)
+    return np.where(rows["road_speed_rad_s"] >= AT_REST_RAD_S, rows["slip"], np.nan)
 
 
 def _part(session: Session, label: str, range_s: tuple[float, float] | None, most: int) -> _DrawnSession:
@@ -235,7 +232,7 @@ def _part(session: Session, label: str, range_s: tuple[float, float] | None, mos
         raise AbsError(f"{session.path}: the run ended before braking; there is nothing to draw")
     start = start_ns(session)
     last_s = float((held[-1].last_ns - start) * 1e-9)
-    begin_s, end_s = range_s or (-_BEFORE_S, last_s)
+    begin_s, end_s = range_s or (-BEFORE_S, last_s)
     if begin_s >= last_s:
         problem = f"{begin_s:g} {end_s:g}: {session.path} ends {last_s:.3f} s after braking began"
         raise ConfigError.of("--range", problem)
@@ -307,10 +304,10 @@ def _alone_speeds(panel: Axes, parts: Sequence[_DrawnSession], options: FigureOp
 def _alone_slip(panel: Axes, parts: Sequence[_DrawnSession], _options: FigureOptions) -> None:
     (part,) = parts
     time_s = since_s(part.ticks, part.start_ns)
-    panel.plot(time_s, _slip(part.ticks), color=_WHEEL, lw=0.8, alpha=0.6, label="estimated")
+    panel.plot(time_s, moving_slip(part.ticks), color=_WHEEL, lw=0.8, alpha=0.6, label="estimated")
     if len(part.truth):
         truth_s = since_s(part.truth, part.start_ns)
-        panel.plot(truth_s, _slip(part.truth), color=_ROAD, lw=1.2, label="true")
+        panel.plot(truth_s, moving_slip(part.truth), color=_ROAD, lw=1.2, label="true")
     panel.plot(time_s, part.ticks["slip_reference"], color="black", lw=1.0, ls="--", label="reference")
     panel.set_ylabel("slip")
     _slips(panel, parts)
@@ -318,7 +315,7 @@ def _alone_slip(panel: Axes, parts: Sequence[_DrawnSession], _options: FigureOpt
 
 def _alone_torque(panel: Axes, parts: Sequence[_DrawnSession], options: FigureOptions) -> None:
     (part,) = parts
-    panel.set_ylim(-0.2, _TOP_NM)
+    panel.set_ylim(-0.2, TOP_NM)
     asked: dict[str, Any] = {"color": _WHEEL, "lw": 0.8, "alpha": 0.6, "label": "asked"}
     _torques(panel, part, part.ticks, "torque_demand_nm", options, **asked)
     if len(part.truth):
@@ -354,7 +351,7 @@ def _compared_slip(panel: Axes, parts: Sequence[_DrawnSession], _options: Figure
     alike = len(np.unique(references[np.isfinite(references)])) <= 1
     for part, looks in _looks(parts):
         rows = part.truth if true else part.ticks
-        panel.plot(since_s(rows, part.start_ns), _slip(rows), lw=1.0, **looks)
+        panel.plot(since_s(rows, part.start_ns), moving_slip(rows), lw=1.0, **looks)
         time_s = since_s(part.ticks, part.start_ns)
         own = "black" if alike else looks["color"]
         panel.plot(time_s, part.ticks["slip_reference"], color=own, lw=0.8, ls=":")
@@ -365,7 +362,7 @@ def _compared_slip(panel: Axes, parts: Sequence[_DrawnSession], _options: Figure
 
 def _compared_torque(panel: Axes, parts: Sequence[_DrawnSession], options: FigureOptions) -> None:
     true = _true(parts)
-    panel.set_ylim(-0.2, _TOP_NM)
+    panel.set_ylim(-0.2, TOP_NM)
     for part, looks in _looks(parts):
         rows, name = (part.truth, "brake_torque_nm") if true else (part.ticks, "torque_demand_nm")
         _torques(panel, part, rows, name, options, lw=1.0, **looks)

@@ -8,7 +8,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
 from contextlib import ExitStack
 from queue import Empty, SimpleQueue
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -220,17 +220,13 @@ class Player:
         card = stored_card(self._session.metadata)
         if self._playback.at_end and not self._told and card is not None:
             self._told = True
-            server.send(RESULT_TOPIC, until_ns, _result(card), keep=True)
+            server.send(RESULT_TOPIC, until_ns, pack_result({"lateness_us": {}, **card}), keep=True)
 
     def _send_parameters(self) -> None:
         if self._server is not None:
             for each in self._session.parameters:
                 data = pack_parameters(each.values, each.tick)
                 self._server.send(PARAMETERS_TOPIC, self._blocks.zero_ns, data, keep=True)
-
-
-def _result(card: dict[str, Any]) -> bytes:
-    return pack_result({"lateness_us": {}, **card})
 
 
 class _Blocks:

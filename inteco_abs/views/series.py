@@ -15,15 +15,13 @@ from inteco_abs.errors import AbsError
 from inteco_abs.sessions import Session
 from inteco_abs.views.comparison import held_spans, since_s, start_ns
 from inteco_abs.views.decimation import Decimated, decimate
-from inteco_abs.views.figure import check_figure, highest_slip, new_figure, save_figure, slip_top
+from inteco_abs.views.figure import BEFORE_S, check_figure, highest_slip, moving_slip, new_figure, save_figure, slip_top
 from inteco_abs.views.result_panel import ROWS
 
 _HEADINGS: Final = ("n", "mean", "std dev", "smallest", "largest", "per stop")
-_BEFORE_S: Final = 0.2
 _PANELS: Final = (
     ("wheel_speed_rad_s", "wheel speed [rad/s]"), ("slip", "slip, estimated"), ("brake", "brake duty"),
 )  # fmt: skip
-_AT_REST_RAD_S: Final = 1.0
 _POINTS: Final = 4000
 """Points of each line; without a limit, a thousand stops take gigabytes."""
 
@@ -82,9 +80,8 @@ def _curves(session: Session) -> tuple[Decimated, float] | None:
     if not held:
         return None
     time_s = since_s(ticks, start_ns(session))
-    shown = (time_s >= -_BEFORE_S) & (np.arange(len(ticks)) < held[-1].end)
-    moves = ticks["road_speed_rad_s"] >= _AT_REST_RAD_S
+    shown = (time_s >= -BEFORE_S) & (np.arange(len(ticks)) < held[-1].end)
     values = {name: ticks[name][shown] for name, _ in _PANELS}
-    values["slip"] = np.where(moves[shown], values["slip"], np.nan)
+    values["slip"] = moving_slip(ticks[shown])
     drawn = decimate(values, time_s[shown], np.zeros(int(shown.sum()), bool), _POINTS)
     return drawn, max(highest_slip(ticks[span.first : span.end]) for span in held)

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from inteco_abs.realtime import Point
+from inteco_abs.sessions import Array
 from inteco_abs.signals import Phase
-
-Array = npt.NDArray[Any]
 
 _SPANS: Final = (1.0, 2.0, 5.0)
 _USUAL_DECELERATION: Final = 120.0

@@ -11,18 +11,15 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy.typing as npt
-
 from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, describe_disk
-from inteco_abs.sessions import Session, atomic_write, check_output, session_config
+from inteco_abs.sessions import Array, Session, atomic_write, check_output, session_config
 from inteco_abs.views.comparison import held_spans, labels, start_ns
-from inteco_abs.views.figure import require_matplotlib
+from inteco_abs.views.figure import BEFORE_S, require_matplotlib
 from inteco_abs.views.figure_options import range_issues, within
 
 if TYPE_CHECKING:
     from inteco_abs.views.video_scene import Scene
 
-Array = npt.NDArray[Any]
 Progress = Callable[[int, int], None]
 
 FORMATS: Final = (".mp4", ".gif")
@@ -36,7 +33,6 @@ _SHUTTER: Final = 0.5
 """Share of a frame's time over which what turns is blurred, as in films."""
 _ROUNDED: Final = 1e-6
 """Of a frame: what lacks at the end by rounding."""
-_BEFORE_S: Final = 0.2
 _GIF_TICK_S: Final = 0.01
 """In which a GIF counts how long a frame is shown; players take less than two for ten."""
 _GIF_COLOURS: Final = 64
@@ -131,7 +127,7 @@ def _range_s(session: Session, options: VideoOptions) -> tuple[float, float]:
     start = start_ns(session)
     first_s, last_s = (spans[0].first_ns - start) * 1e-9, (spans[-1].last_ns - start) * 1e-9
     held = held_spans(session)
-    shown = (-_BEFORE_S, (held[-1].last_ns - start) * 1e-9) if held else (first_s, last_s)
+    shown = (-BEFORE_S, (held[-1].last_ns - start) * 1e-9) if held else (first_s, last_s)
     begin_s, end_s = options.range_s or shown
     if begin_s >= last_s or end_s <= first_s:
         problem = f"{begin_s:g} {end_s:g}: {session.path} lasts from {first_s:.3f} to {last_s:.3f} s"
@@ -142,7 +138,7 @@ def _range_s(session: Session, options: VideoOptions) -> tuple[float, float]:
 def _part(session: Session, begin_s: float, end_s: float) -> Session:
     """The part of a session that is read."""
     origin_s = (start_ns(session) - session.rows.phases[0].first_ns) * 1e-9
-    part: Session = session[max(origin_s + begin_s, 0.0) : origin_s + end_s + _BEFORE_S]
+    part: Session = session[max(origin_s + begin_s, 0.0) : origin_s + end_s + BEFORE_S]
     return part
 
 

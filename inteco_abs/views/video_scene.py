@@ -6,7 +6,6 @@ import math
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -18,13 +17,11 @@ from matplotlib.patches import Circle, FancyBboxPatch, Wedge
 
 from inteco_abs.config import RigConfig
 from inteco_abs.rig import nominal_parameters
-from inteco_abs.sessions import Session
+from inteco_abs.sessions import Array, Session
 from inteco_abs.signals import Phase
 from inteco_abs.views.comparison import PALETTE, since_s
 from inteco_abs.views.decimation import decimate
-from inteco_abs.views.figure import highest_slip, slip_top
-
-Array = npt.NDArray[Any]
+from inteco_abs.views.figure import AT_REST_RAD_S, TOP_NM, highest_slip, moving_slip, slip_top
 
 _BLUE, _RED, _GREEN = PALETTE[:3]
 _INCHES: Final = (12.8, 7.2)
@@ -33,10 +30,8 @@ _SPARE_PX: Final = 0.01
 """Matplotlib cuts sizes to whole pixels, and rounding must not cost one."""
 _SPOKES: Final = 5
 _SPOKE_DEG: Final = 9.0
-_TOP_NM: Final = 10.0
 _GREY: Final = "#b8bec6"
 _DARK: Final = "#3a3f47"
-_COAST_RAD_S: Final = 1.0
 _KMH_PER_M_S: Final = 3.6
 
 
@@ -169,7 +164,7 @@ class Scene:
         slip.set_ylabel("slip")
         slip.set_ylim(0.0, slip_top(map(highest_slip, (truth, ticks))))
         torque.set_ylabel("brake torque [N m]")
-        torque.set_ylim(-0.2, _TOP_NM)
+        torque.set_ylim(-0.2, TOP_NM)
         torque.set_xlabel("time since braking began [s]")
         for panel in (speeds, slip, torque):
             panel.set_xlim(*range_s)
@@ -183,9 +178,7 @@ class Scene:
     def _grow(self, panel: Axes, rows: Array, name: str, label: str, **looks: Any) -> None:
         """A curve that is faint from the beginning, and grows."""
         time_s = self._truth_s if rows is self._truth else self._time_s
-        values = rows[name]
-        if name == "slip":
-            values = np.where(rows["road_speed_rad_s"] >= _COAST_RAD_S, values, np.nan)
+        values = moving_slip(rows) if name == "slip" else rows[name]
         few = decimate({name: values}, time_s, np.zeros(len(time_s), bool), _POINTS)
         panel.plot(few.time_s, few.columns[name], alpha=0.2, **looks)
         (line,) = panel.plot([], [], label=label, **looks)
@@ -200,11 +193,11 @@ class Scene:
         tick = self._ticks[at]
         true_at = min(max(int(np.searchsorted(self._truth_s, time_s, side="right")) - 1, 0), len(self._truth) - 1)
         true = self._truth[true_at]
-        slips = bool(true["road_speed_rad_s"] >= _COAST_RAD_S)
+        slips = bool(true["road_speed_rad_s"] >= AT_REST_RAD_S)
         slip = float(np.clip(true["slip"], 0.0, 1.0)) if slips else 0.0
         torque_nm = float(true["brake_torque_nm" if self._true else "torque_demand_nm"])
         km_h = float(tick["road_speed_rad_s"]) * self._road_radius_m * _KMH_PER_M_S
-        self._pad.set_facecolor(_shade(_GREEN, min(max(torque_nm / _TOP_NM, 0.0), 1.0)))
+        self._pad.set_facecolor(_shade(_GREEN, min(max(torque_nm / TOP_NM, 0.0), 1.0)))
         self._contact.set_alpha(min(max(slip, 0.0), 1.0))
         self._contact.set_radius((0.03 + 0.12 * slip) * self._road_radius_m)
         words = (

@@ -167,7 +167,9 @@ def compare_sends(first: Capture, second: Capture, ignored: Sequence[str] = ()) 
     """Compare the SEND frames of two captures except the fields `ignored`. Raises ConfigError for unknown ones."""
     protocol = protocol_of(first.board)
     masks = masks_of(protocol.send, protocol.fields(ignored))
-    one, other = ([r.data for r in c.records if _is_send(protocol, r.kind, r.data)] for c in (first, second))
+    one, other = (
+        [r.data for r in c.records if _role(protocol, r.kind, r.data) is MessageRole.SEND] for c in (first, second)
+    )
     found: dict[int, SendDifference] = {}
     differing = 0
     for number, (a, b) in enumerate(zip(one, other, strict=False), 1):
@@ -186,7 +188,3 @@ def compare_sends(first: Capture, second: Capture, ignored: Sequence[str] = ()) 
         found[word]._replace(fields=names_at(protocol.send, word, found[word].bits)) for word in sorted(found)
     )
     return SendComparison(len(one), len(other), differing, named)
-
-
-def _is_send(protocol: BoardProtocol, kind: RecordKind, data: bytes) -> bool:
-    return kind is RecordKind.OUT and protocol.role_out(data) is MessageRole.SEND

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 from firmware_protocol import FrameTable, ProtocolError
-from firmware_protocol.pwm import PWM_FULL_WIDTH
+from firmware_protocol.pwm import PWM_FULL_WIDTH, PWM_MODES
 from inteco_abs.boards import board_behind, family_speaking, protocol_name, protocol_of
 from inteco_abs.config import BoardConfig, RigConfig, load_config, profiles
 from inteco_abs.errors import BoardError, CaptureError, ConfigError, ConfigIssue
 from inteco_abs.signals import BoardFlags, Command
 from inteco_abs.wire.capture import Capture, RecordKind
 from inteco_abs.wire.playback import CaptureLink, FrameDifference
-
-_MODES: Final = ("8-bit", "12-bit")
+from inteco_abs.wire.summary import identity_seen
 
 
 class WireReplay(NamedTuple):
@@ -77,17 +76,12 @@ def replay_wire(capture: Capture, config: RigConfig) -> WireReplay:
 
 def _as_signed(capture: Capture) -> dict[str, Any]:
     """Return the profile's keys with a sign-off for the captured board."""
-    protocol = protocol_of(capture.board)
-    for record in capture.records:
-        header = protocol.identity_in(record.data) if record.kind is RecordKind.IN else None
-        if header is not None:
-            break
-    else:
+    version, name = identity_seen(capture, protocol_of(capture.board))
+    if version is None:
         raise CaptureError(f"{capture.name} holds no READ answer, so its board is not known")
-    version = int(header["logic_version"])
     return {
         "logic_version": version,
-        "application_names": [str(header["application_name"])],
+        "application_names": [name],
         "read_only": "",
         "verified_by": "the replay: the board is a capture",
         "verified_logic": version,
@@ -100,7 +94,7 @@ def _commands(capture: Capture, wiring: BoardConfig) -> Iterator[Command | None]
     With a timer, a frame that holds it at zero and the next one are SAFE.
     """
     table = protocol_of(capture.board).send
-    full = PWM_FULL_WIDTH[_MODES.index(wiring.pwm_mode)]
+    full = PWM_FULL_WIDTH[PWM_MODES.index(wiring.pwm_mode)]
     names = f"pwm{wiring.drive_pwm}_width", f"pwm{wiring.brake_pwm}_width"
     ours = 1 if wiring.timer < 0 else 2
     held = False

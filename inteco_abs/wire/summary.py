@@ -50,7 +50,7 @@ def summarize(capture: Capture) -> CaptureSummary:
         elif record.kind is RecordKind.IN:
             role = protocol.role_in(record.data)
             times_s.setdefault("other answer" if role is MessageRole.OTHER else role, []).append(record.t_s)
-    version, name = _identity(capture, protocol)
+    version, name = identity_seen(capture, protocol)
     at_s = [record.t_s for record in capture.records]
     return CaptureSummary(
         capture.board,
@@ -70,7 +70,7 @@ def summarize(capture: Capture) -> CaptureSummary:
 def caution(capture: Capture) -> str:
     """Return why field names may be wrong; empty if the logic is that of the tables, or unknown."""
     protocol = protocol_of(capture.board)
-    version, _ = _identity(capture, protocol)
+    version, _ = identity_seen(capture, protocol)
     if None in {version, protocol.logic_version} or version == protocol.logic_version:
         return ""
     return (
@@ -79,7 +79,8 @@ def caution(capture: Capture) -> str:
     )
 
 
-def _identity(capture: Capture, protocol: BoardProtocol) -> tuple[int | None, str]:
+def identity_seen(capture: Capture, protocol: BoardProtocol) -> tuple[int | None, str]:
+    """The board's logic version and application's name by its first READ answer; None and nothing without one."""
     for record in capture.records:
         found = protocol.identity_in(record.data) if record.kind is RecordKind.IN else None
         if found is not None:

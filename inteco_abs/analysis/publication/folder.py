@@ -108,7 +108,8 @@ def _write(sessions: dict[str, Session], folder: Path, described: Description, *
         else:
             shutil.copyfile(session.path, copy)
         export_session(copy, "csv", tables / f"{name}.csv")
-        rows.append({**session_row(copy), "session": name, "payload_sha256": _hash_of_ticks(session)})
+        digest = session.metadata.get("integrity", {}).get("payload_sha256", "")
+        rows.append({**session_row(copy), "session": name, "payload_sha256": digest})
     _write_rows(rows, folder / "sessions.csv")
     for name in _READERS:
         (folder / name).write_bytes((resources(__package__) / name).read_bytes())
@@ -138,10 +139,6 @@ def _write_rows(rows: Sequence[dict[str, Any]], path: Path) -> None:
             {name: json.dumps(value) if isinstance(value, list | dict) else value for name, value in row.items()}
             for row in rows
         )
-
-
-def _hash_of_ticks(session: Session) -> str:
-    return session.metadata.get("integrity", {}).get("payload_sha256", "")
 
 
 def _below(folder: Path) -> list[Path]:

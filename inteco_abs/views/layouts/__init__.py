@@ -10,16 +10,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from inteco_abs.sessions import write_file
-
 _FILES: Final = {"lichtblick": "lichtblick.json", "plotjuggler": "plotjuggler.xml"}
 
 
 def layout_of(viewer: str) -> bytes:
     """The layout for `lichtblick`, which Foxglove reads too, or for `plotjuggler`."""
     return Path(__file__).with_name(_FILES[viewer]).read_bytes()
-
-
-def write_layout(viewer: str, out: Path) -> None:
-    """Write the layout for a viewer to the new file `out`. Raises ConfigError or SessionError."""
-    write_file(out, layout_of(viewer))

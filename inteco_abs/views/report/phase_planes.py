@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 from bokeh.models import Range1d, Span
 
+from inteco_abs.sessions import Array
 from inteco_abs.views.report.plots import BLUE, GREY, RED, Drawing, LegendEntry, blank
 from inteco_abs.views.report.traces import ReportTrace
 
@@ -19,8 +19,6 @@ _LATEST_US: Final = 1e9
 _BELOW_ONE_TICK: Final = 0.7
 _BINS_A_DECADE: Final = 12
 _BLOCK_TICKS: Final = 1 << 16
-
-Array = npt.NDArray[Any]
 
 
 def phase_plane(traces: Sequence[ReportTrace]) -> Drawing:

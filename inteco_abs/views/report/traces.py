@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from inteco_abs.format import TRUTH
-from inteco_abs.sessions import PhaseSpan, Session, aligned_truth, joined_rows
+from inteco_abs.sessions import Array, PhaseSpan, Session, aligned_truth, joined_rows
 from inteco_abs.signals import Phase
 from inteco_abs.views.comparison import PALETTE, changes_s, held_spans, since_s, start_ns
 from inteco_abs.views.decimation import Decimated, Decimator
@@ -31,8 +30,6 @@ _LETTERS: Final = "ABCDEF"
 _MARKERS: Final = (
     ("circle", "●"), ("square", "■"), ("triangle", "▲"), ("diamond", "◆"), ("inverted_triangle", "▼"), ("star", "★"),
 )  # fmt: skip
-
-Array = npt.NDArray[Any]
 
 
 class Look(NamedTuple):

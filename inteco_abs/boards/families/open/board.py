@@ -37,13 +37,13 @@ from firmware_protocol.open_board import (
     decode,
     sealed,
 )
-from firmware_protocol.pwm import PWM_FULL_WIDTH
+from firmware_protocol.pwm import PWM_FULL_WIDTH, PWM_MODES
 from inteco_abs.boards.authorization import read_only_reason
 from inteco_abs.boards.board import STILL_ON, Board, BoardReading, Identity, Reading
 from inteco_abs.boards.board_clock import BoardClock
 from inteco_abs.boards.channels import channel_mistakes
 from inteco_abs.boards.first_write import PlannedWord
-from inteco_abs.boards.frame_board import MODES, widths
+from inteco_abs.boards.frame_board import widths
 from inteco_abs.boards.transports.links import Link
 from inteco_abs.config import BoardConfig
 from inteco_abs.errors import BoardError, ConfigError, ConfigIssue, LinkError
@@ -100,7 +100,7 @@ class OpenBoard(Board):
         _require_channels(wiring)
         self._link = link
         self._wiring = wiring
-        self._mode = MODES.index(wiring.pwm_mode)
+        self._mode = PWM_MODES.index(wiring.pwm_mode)
         self._full = PWM_FULL_WIDTH[self._mode]
         self._settings = {
             "watchdog_ms": max(wiring.watchdog_ms, min(-(-_WATCHDOG_PERIODS * period_ns // _MS), WATCHDOG_MS[1])),

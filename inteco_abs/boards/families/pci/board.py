@@ -8,7 +8,7 @@ from typing import Final
 
 from firmware_protocol import ProtocolError, Register
 from firmware_protocol import rtdac_pci as pci
-from firmware_protocol.pwm import PWM_FULL_WIDTH
+from firmware_protocol.pwm import PWM_FULL_WIDTH, PWM_MODES
 from firmware_protocol.register_messages import RegisterAccess
 from firmware_protocol.registers import REGISTER_BYTES, Write
 from firmware_protocol.rtdac_pci import ABS, ENCODER_COUNT, LOGIC, PWM_WIDTH
@@ -16,7 +16,7 @@ from inteco_abs.boards.authorization import read_only_reason
 from inteco_abs.boards.board import STILL_ON, Board, BoardReading, Identity, Reading
 from inteco_abs.boards.channels import channel_mistakes
 from inteco_abs.boards.first_write import PlannedWord
-from inteco_abs.boards.frame_board import MODES, widths
+from inteco_abs.boards.frame_board import widths
 from inteco_abs.boards.transports.registers import Registers
 from inteco_abs.config import BoardConfig
 from inteco_abs.errors import BoardError, ConfigError, ConfigIssue, LinkError
@@ -58,7 +58,7 @@ class RtdacPci(Board):
         _require_channels(wiring)
         self._registers = registers
         self._wiring = wiring
-        self._mode = MODES.index(wiring.pwm_mode)
+        self._mode = PWM_MODES.index(wiring.pwm_mode)
         self._full = PWM_FULL_WIDTH[self._mode]
         self._outputs = (wiring.drive_pwm, wiring.brake_pwm)
         self._off: tuple[Write, ...] = tuple(write for channel in self._outputs for write in _width(channel, 0))
