@@ -12,6 +12,7 @@ PWM_CLOCK_HZ: Final = 40_000_000
 PWM_FULL_WIDTH: Final = (255, 4095)
 """Width of a full period, by PWM mode: 0 is 8-bit, 1 is 12-bit."""
 PWM_MODES: Final = ("8-bit", "12-bit")
+"""Names of the modes, by number."""
 
 
 def pwm_frequency_hz(mode: int, prescaler: int) -> float:
