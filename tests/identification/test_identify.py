@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 from tracing import untraced
 
@@ -20,6 +21,7 @@ from inteco_abs.experiment import Plan, run_stop
 from inteco_abs.identification import chosen, experiments, next_runs, segments
 from inteco_abs.identification import identify as fitted
 from inteco_abs.identification.parameters import ASSUMED, Priors
+from inteco_abs.identification.simulation import angles
 from inteco_abs.rig import RigParameters, draw, nominal_brake_map, nominal_parameters, settled_torque
 from inteco_abs.sessions import read_session
 
@@ -80,6 +82,19 @@ def test_other_radii_leave_what_is_assumed_at_its_values():
     assert found.r1 / found.r2 == pytest.approx(0.96 * base.r1 / base.r2)
     assert (found.J1, found.J2, found.Mg) == pytest.approx((base.J1, base.J2, base.Mg))
     assert (found.d1, found.M10) == pytest.approx((base.d1, base.M10))
+
+
+def test_the_last_digits_of_a_parameter_move_no_count(sessions):
+    """Else the search ends in a dent of the sum of squares, and which one depends on the processor's rounding."""
+    priors = Priors(RigParameters.named("mask"), (0.6, 0.7), ASSUMED)
+    begun = priors.values([each.start for each in priors.fit_parameters])
+    sets = [begun | {"stall": begun["stall"] * (1.0 + i * 1e-10)} for i in range(100)]
+    run_ups = [part for part in parts_of(sessions.values()) if part.kind == "run-up"]
+    assert run_ups
+    for part in run_ups:
+        for simulated in angles(part, priors, sets, [(0.0, 0.0)] * len(sets)):
+            counts = simulated * part.counts_per_turn / (2.0 * math.pi)
+            assert np.ptp(counts, axis=0).max() < 1e-3
 
 
 @pytest.mark.long
