@@ -24,8 +24,9 @@ _NOISES: Final = (300.0, 30.0, 5.0, 1.0)
 """Standard deviation of a residual in counts in each round: far from the solution counts weigh less."""
 _NEAR: Final = 0.05
 """Distance to the solution at which the last round ends, in standard deviations of the parameters."""
-_FLAT: Final = 0.2
-"""Largest distance at which a search has converged that finds nothing lower: there, rounding hides the slope."""
+_FLAT: Final = 0.1
+"""Largest distance, in standard deviations of the intervals, at which a search has converged that finds nothing lower:
+there, the steps of the integration hide the slope."""
 _MOST_STEPS: Final = 50
 """Steps of a round. The last one takes 5 to 15."""
 _FIRST_DAMPING: Final = 1e-3
@@ -42,6 +43,8 @@ _WIDE: Final = {"d1": 1e-2, "M10": 1e-2, "blend": 1e-2, "creep": 1e-2, "release_
     ("creep_p", "w1/w4", "w2/w4", "w3/w4", "dead_time", "release", "fade"), 1e-3
 )
 """Step for parameters of little effect, of which that error would be a larger share, and of a time in s."""
+_LONGEST_S: Final = 3e-3
+"""Longest step of the release's delay: beyond the corner where a release acts at once, hardly a slope leads back."""
 _BRAKE: Final = ("lag", "dead_time", "release", "release_delay", "fade")
 _EVERYWHERE: Final = ("J1", "Mg", "d1", "M10", "r1/r2", "d", "M0")
 _DEPENDS: Final[Mapping[str, tuple[str, ...]]] = {
@@ -194,11 +197,10 @@ def _round(problem: _Problem, found: Floats, progress: Progress | None) -> tuple
 
     Its length is measured in the metric of the parameters' covariance, where it is the distance in standard
     deviations: no parameter, and no combination of some, would change by more. The fall of the sum of squares says
-    less: it is small in a long flat valley, too. A round that is not the last ends at the noise it assumes. Where no
-    step helps, the error of forward differences is as large as the slope, and central ones take over.
+    less: it is small in a long flat valley, too. A round that is not the last ends at the noise it assumes.
     """
     free = problem.free
-    residuals, damping = problem.residuals(found), _FIRST_DAMPING
+    residuals, damping, longest = problem.residuals(found), _FIRST_DAMPING, problem.longest[free]
     for _ in range(_MOST_STEPS):
         if progress is not None:
             progress(problem.noise, math.sqrt(residuals @ residuals / len(residuals)) * problem.noise)
@@ -212,16 +214,15 @@ def _round(problem: _Problem, found: Floats, progress: Progress | None) -> tuple
             return found, True
         while damping <= _HARDEST:
             trial = found.copy()
-            trial[free] -= np.linalg.solve(scaled + damping * np.eye(len(size)), slope) / size
+            step = np.linalg.solve(scaled + damping * np.eye(len(size)), slope) / size
+            trial[free] -= step * np.min(longest / np.maximum(np.abs(step), longest))
             nearer = problem.residuals(trial)
             if nearer @ nearer < residuals @ residuals:
                 found, residuals, damping = trial, nearer, damping / 10.0
                 break
             damping *= 10.0
         else:
-            if problem.central:
-                return found, bool(distance < _FLAT * _FLAT * variance)
-            problem.central, damping = True, _FIRST_DAMPING
+            return found, bool(distance < _FLAT * _FLAT * problem.scatter(found))
     return found, False
 
 
@@ -232,8 +233,6 @@ class _Problem:
         self._priors = priors
         self.noise = _NOISES[0]
         """Standard deviation of a residual in counts."""
-        self.central = False
-        """Whether slopes are central differences, for twice the work."""
         self._segments = [(each, channels(each)) for each in segments]
         speeds = [speed for each, _ in self._segments for speed in each.start_speeds()[2 - _SPEEDS[each.kind] :]]
         self._places = {each.name: place for place, each in enumerate(priors.fit_parameters)}
@@ -243,6 +242,9 @@ class _Problem:
         count = len(priors.fit_parameters)
         self._steps = np.full(len(self.start), _STEP)
         self._steps[[self._places[name] for name in _WIDE]] = list(_WIDE.values())
+        self.longest = np.full(len(self.start), np.finfo(float).max)
+        """Longest step of each parameter."""
+        self.longest[self._places["release_delay"]] = _LONGEST_S
         self._weights = np.eye(len(self.start)) / _SPEED_SD_RAD_S
         self._weights[:count, :count] = priors.weights
 
@@ -250,6 +252,11 @@ class _Problem:
         """Normalised residuals of counts and priors."""
         parts = [channel.free(counts) / self.noise for channel, counts in self.differences(x)]
         return np.concatenate([*parts, self._weights @ (x - self.start)])
+
+    def scatter(self, x: Floats) -> float:
+        """Mean variance of independent residuals with the same information as these correlated ones."""
+        parts = [channel.free(counts) / self.noise for channel, counts in self.differences(x)]
+        return sum(len(each) * _effective_deviation(each) ** 2 for each in parts) / sum(map(len, parts))
 
     def differences(self, x: Floats) -> Iterator[tuple[Channel, Floats]]:
         """Measured minus simulated counts by channel."""
@@ -259,19 +266,23 @@ class _Problem:
                 yield channel, channel.counts - simulated[channel.wheel][0]
 
     def jacobian(self, x: Floats, free: Mask) -> Floats:
-        """Slopes of `residuals` by the free parameters, by differences, in one batch for each segment."""
-        blocks = []
+        """Slopes of `residuals` by the free parameters, by differences, in one batch for each segment.
+
+        In the last round they are central, for twice the work: in a model that is not quite the rig, forward ones have
+        their zero a standard deviation away from the lowest sum of squares.
+        """
+        central, blocks = self.noise == _NOISES[-1], []
         for segment, its_channels, own in self._each():
             names = [*_DEPENDS[segment.kind], *map(torque_name, segment.levels)]
             places = [place for place in (*(self._places[name] for name in names), *own) if free[place]]
             ahead, each = np.repeat(x[None, :], len(places), axis=0), np.arange(len(places))
             ahead[each, places] += self._steps[places]
-            behind = 2.0 * x - ahead if self.central else x[None, :]
+            behind = 2.0 * x - ahead if central else x[None, :]
             simulated = self._simulated(segment, np.concatenate([ahead, behind]), own)
             for channel in its_channels:
                 above, below = np.split(simulated[channel.wheel], [len(places)])
                 block = np.zeros((above.shape[1], len(x)))
-                apart = self._steps[places] * (1.0 + self.central)
+                apart = self._steps[places] * (1.0 + central)
                 block[:, places] = channel.free(below - above).T / (apart * self.noise)
                 blocks.append(block)
         return np.concatenate([*blocks, self._weights])

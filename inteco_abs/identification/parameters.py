@@ -179,11 +179,13 @@ class Priors:
         if rolling:
             base = self.base
             k = replace(k, w1=base.w1, w2=base.w2, w3=base.w3, w4=base.w4, a=values["creep"], p=values["creep_p"])
+        dead_time_s = min(max(values["dead_time"], 0.0), LONGEST_DEAD_TIME_S)
+        released_s = _CORNER_S * float(np.logaddexp(0.0, (dead_time_s + values["release_delay"]) / _CORNER_S))
         return RigVariation(
             k,
-            brake_dead_time_s=min(max(values["dead_time"], 0.0), LONGEST_DEAD_TIME_S),
+            brake_dead_time_s=dead_time_s,
             brake_release_ratio=min(max(values["release"], 0.1), 10.0),
-            brake_release_delay_s=min(max(values["release_delay"], -LONGEST_DEAD_TIME_S), LONGEST_DEAD_TIME_S),
+            brake_release_delay_s=min(released_s, LONGEST_DEAD_TIME_S) - dead_time_s,
         )
 
 
@@ -191,5 +193,8 @@ _RADII: Final = 0.03
 """Standard deviation of the radii's ratio; the vendor's toolbox has a wheel 4 % smaller."""
 _LEAST: Final = 0.01
 """Least share of its prior for a parameter that is the difference of others."""
+_CORNER_S: Final = 3e-4
+"""Width of the rounded corner where a release acts at once: beyond a sharp one nothing would change, and no search by
+slopes gets away from it."""
 _SHORTEST_LAG_S: Final = 1e-4
 """Practically none, as of a brake without lag."""
