@@ -84,6 +84,16 @@ def test_other_radii_leave_what_is_assumed_at_its_values():
     assert (found.d1, found.M10) == pytest.approx((base.d1, base.M10))
 
 
+def test_a_release_that_acts_at_once_still_has_a_slope_that_leads_away_from_there():
+    priors = Priors(RigParameters.named("mask"), (0.6,), ASSUMED)
+    begun = priors.values([each.start for each in priors.fit_parameters])
+    later_s = (-0.013, -0.011, -0.01, 0.0, 0.004)
+    rigs = [priors.variation(begun | {"release_delay": each}, rolling=False) for each in later_s]
+    released_s = [rig.brake_dead_time_s + rig.brake_release_delay_s for rig in rigs]
+    assert 0.0 < released_s[0] < released_s[1] < released_s[2] < 0.001
+    assert released_s[3:] == pytest.approx([0.01, 0.014], abs=1e-9)
+
+
 def test_the_last_digits_of_a_parameter_move_no_count(sessions):
     """Else the search ends in a dent of the sum of squares, and which one depends on the processor's rounding."""
     priors = Priors(RigParameters.named("mask"), (0.6, 0.7), ASSUMED)

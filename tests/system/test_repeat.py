@@ -55,10 +55,11 @@ def test_a_safety_stop_ends_the_series_and_reports_the_rest(main_here, tmp_path)
 
 
 LEARNING = ("--controller", "predictive-reaching", "--estimator", "adaptive-observer", "--learn", "--virtual")
+SLOWER = ("--set", "experiment.start_speed_rad_s=60")
 
 
 def test_a_stop_begins_with_what_the_one_before_learnt_of_the_brake(main_here, tmp_path):
-    run = main_here("repeat", 2, *LEARNING, "--rig", "hard:7", "-o", "series", check=0)
+    run = main_here("repeat", 2, *LEARNING, *SLOWER, "--rig", "hard:7", "-o", "series", check=0)
     first, second = (read_session(tmp_path / "series" / f"stop-{number}.mcap") for number in (1, 2))
     known = tomllib.loads(second.attachments["config.toml"].decode())["model"]["identified"]
     assert set(known) == {"c31", "brake_dead_time_s", "brake_release_ratio"}
