@@ -87,6 +87,7 @@ def design(
     from inteco_abs.boards import kind_check
     from inteco_abs.config import load_config
     from inteco_abs.control import control_check, preferred_estimator
+    from inteco_abs.gain_design import PREDICTED, no_figure
     from inteco_abs.views.figure import check_figure, save_figure
 
     known = known_controllers(options.controller)
@@ -95,6 +96,8 @@ def design(
     check_table(table)
     if figure is not None:
         check_figure(figure)
+        if rig.controller.name == PREDICTED:
+            raise no_figure()
     found = assessed(rig, uncertain, speeds, slip_band, from_slip, lag, dead_time)
     report = found.report()
     if table is not None:

@@ -61,7 +61,7 @@ class Certificate(Shown):
 
     def plot(self) -> Figure:
         """Raises ConfigError: a certificate has no figure."""
-        raise ConfigError.of("--figure", f"{PREDICTED} has a table and no figure; --csv writes its numbers")
+        raise no_figure()
 
     def __rich__(self) -> RenderableType:
         from inteco_abs.gain_design.table import render_certificate  # noqa: PLC0415  for a screen alone
@@ -93,6 +93,11 @@ class Certificate(Shown):
             "advice": [one._asdict() for one in self.advice],
             "curves": {name: [row[name] for row in loop] for name in loop[0]},
         }
+
+
+def no_figure() -> ConfigError:
+    """What a figure of a certificate is refused with."""
+    return ConfigError.of("--figure", f"{PREDICTED} has a table and no figure; --csv writes its numbers")
 
 
 def certify(config: RigConfig, box: Box, speeds: tuple[float, float], brake: Brake | None = None) -> Certificate:
