@@ -20,13 +20,10 @@ from inteco_abs.signals import Estimate
 
 KNOWN = Controllers()
 RIGS = parse_draws("hard:700000").rigs
-BY_DEFAULT = {"grey-sliding"}
-"""One with lists in its state."""
 
 
-@pytest.mark.parametrize(
-    "name", [name if name in BY_DEFAULT else pytest.param(name, marks=pytest.mark.long) for name in PUBLISHED]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("name", PUBLISHED)
 def test_a_compiled_stop_has_the_bits_of_python(name):
     config = Law(name, name, "kalman").config(KNOWN)
     (compiled,) = run_all([Experiment(RIGS, config, ConfiguredPolicy(config), 165.0)])

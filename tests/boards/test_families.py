@@ -149,7 +149,8 @@ def test_a_packages_family_is_found_opened_and_exchanged_with(installed, tmp_pat
 
 def test_a_packages_family_runs_a_whole_stop_on_its_mock_board_and_replays(inteco_abs, toy, installed, tmp_path):
     session, profile = tmp_path / "toy.mcap", f"profile={toy / 'toy_board' / 'toy.toml'}"
-    run = inteco_abs("run", "--virtual", "--json", "--set", profile, "--out", session, check=0, environment=installed)
+    settings = ("--set", profile, "--set", "experiment.start_speed_rad_s=20")
+    run = inteco_abs("run", "--virtual", "--json", *settings, "--out", session, check=0, environment=installed)
     assert json.loads(run.stdout)["outcome"] == "completed"
     inteco_abs("replay", session, check=0, environment=installed)
 

@@ -198,7 +198,7 @@ def test_flagged_samples_are_passed_over(experiment):
         pytest.param(100.0, 0.03, 0.05, marks=pytest.mark.long),
         pytest.param(250.0, 0.01, 0.005, marks=pytest.mark.long),
         pytest.param(1000.0, 0.01, 0.005, marks=pytest.mark.long),
-        (10_000.0, 0.01, 0.005),
+        pytest.param(10_000.0, 0.01, 0.005, marks=pytest.mark.long),
     ],
 )
 def test_other_rates_of_the_loop(rolling, rate_hz, error, held):

@@ -60,7 +60,7 @@ def three(played):
     return played(3)
 
 
-@pytest.mark.parametrize("stops", [1, 2, 3, 7])
+@pytest.mark.parametrize("stops", [1, 2, 3, pytest.param(7, marks=pytest.mark.long)])
 def test_the_phases_come_in_order_as_often_as_there_are_stops(played, stops):
     moments = played(stops)
     phases = [phase for phase, _ in groupby(moment.tick.phase for moment in moments)]

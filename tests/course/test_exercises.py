@@ -19,7 +19,7 @@ def with_few_cases(name):
     return replace(exercises()[name], cases=FEW[name])
 
 
-@pytest.mark.parametrize("name", ["pi", "estimator", "identification", "faults"])
+@pytest.mark.parametrize("name", [pytest.param("pi", marks=pytest.mark.long), "estimator", "identification", "faults"])
 def test_the_model_solution_passes_and_says_what_it_is_compared_with(name):
     found = grade(with_few_cases(name), SOLUTIONS / f"{name}.py", seed=3)
     assert found.passed, found.missing
@@ -31,7 +31,7 @@ def test_the_model_solution_passes_and_says_what_it_is_compared_with(name):
     assert [each.limit for each in found.kept] == list(exercises()[name].limits)
 
 
-@pytest.mark.parametrize("name", ["pi", "estimator", "identification"])
+@pytest.mark.parametrize("name", [pytest.param("pi", marks=pytest.mark.long), "estimator", "identification"])
 def test_the_starting_file_runs_but_does_not_pass(name, tmp_path):
     (tmp_path / "start.py").write_text(exercises()[name].start)
     found = grade(with_few_cases(name), tmp_path / "start.py", seed=3)

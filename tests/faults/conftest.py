@@ -12,7 +12,7 @@ SHORT = ("loop.rate_hz=500", "experiment.start_speed_rad_s=10", "experiment.idle
 """A stop of some 280 ticks."""
 
 
-@pytest.fixture(scope="session", params=["sim_usb2", "sim_usb", "sim_pci"])
+@pytest.fixture(scope="session", params=["sim_usb2", pytest.param("sim_usb", marks=pytest.mark.long), "sim_pci"])
 def short(request):
     """Configuration of a short stop on each kind of board; the first generation's keeps 250 Hz."""
     slow = ("loop.rate_hz=250",) if request.param == "sim_usb" else ()

@@ -40,6 +40,7 @@ def slip_rms(text, estimator, count):
     return float(np.median(stops["slip_rms_fixed_true"]))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "factor", ["no lag", "a dead time of 50 ms", "a slow release of a slow brake", "latching jitter"]
 )

@@ -33,7 +33,7 @@ def some_by_default(names, default):
     return [pytest.param(name, marks=() if name in default else pytest.mark.long) for name in names]
 
 
-estimators = pytest.mark.parametrize("name", some_by_default(ESTIMATORS, {"kalman", "edge-time"}))
+estimators = pytest.mark.parametrize("name", some_by_default(ESTIMATORS, {"kalman"}))
 controllers = pytest.mark.parametrize("name", some_by_default(CONTROLLERS, {"smith-relay"}))
 
 

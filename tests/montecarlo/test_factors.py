@@ -52,6 +52,7 @@ def test_ones_own_population_has_no_numbers_to_be_changed(tmp_path):
         list(one_at_a_time(parse_draws(f"{tmp_path / 'lab.toml'}:1")))
 
 
+@pytest.mark.long
 def test_many_ranges_have_one_table_and_one_figure(tmp_path):
     grid = combinations(["experiment.start_speed_rad_s=12", "controller.name=steps,relay"], CONTROLLERS)
     draws = [SampleSet(each.population, 3, 3, each.text) for each in RANGES[:9]]

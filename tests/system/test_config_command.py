@@ -147,9 +147,9 @@ def test_the_schema_has_every_section(said):
         ("run --controller pred", ["predictive-reaching"]),
         ("run --estimator edge", ["edge-time"]),
         ("run --set guard.brake", ["guard.brake_limit"]),
-        ("run --rig har", ["hard:0"]),
-        ("run --inject brake-w", ["brake-weak="]),
-        ("config explain loop.", ["loop.rate_hz", "loop.pace", "loop.ring_s"]),
+        pytest.param("run --rig har", ["hard:0"], marks=pytest.mark.long),
+        pytest.param("run --inject brake-w", ["brake-weak="], marks=pytest.mark.long),
+        pytest.param("config explain loop.", ["loop.rate_hz", "loop.pace", "loop.ring_s"], marks=pytest.mark.long),
         ("val", ["validate"]),
     ],
 )

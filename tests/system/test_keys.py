@@ -67,6 +67,7 @@ def test_space_stops_a_run_that_has_not_begun(run, tmp_path):
 
 
 @real_time
+@pytest.mark.long
 def test_a_stop_is_shown_from_its_checks_to_its_card(run):
     program = run()
     assert program.end() in {0, 3}

@@ -226,7 +226,7 @@ def test_the_title_names_controller_and_estimator(session, drawn):
     assert drawn(session).get_suptitle() == "reaching-law on moving-window"
 
 
-@pytest.mark.parametrize("suffix", ["svg", "pdf"])
+@pytest.mark.parametrize("suffix", ["svg", pytest.param("pdf", marks=pytest.mark.long)])
 def test_the_same_sessions_give_the_same_file(session, others, tmp_path, suffix):
     files = [tmp_path / f"{name}.{suffix}" for name in ("first", "second")]
     for file in files:

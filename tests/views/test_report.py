@@ -99,6 +99,7 @@ class TestPage:
         (image,) = page.of("img")
         assert base64.b64decode(image["src"].partition(",")[2]).startswith(b"<?xml")
 
+    @pytest.mark.long
     def test_ten_seconds_of_noise_fit_into_two_and_a_half_megabytes(self, session):
         random, rows = np.random.default_rng(1), 20_000
         ticks, truth = (table[np.resize(np.arange(len(table)), rows)] for table in (session.ticks, session.truth))
