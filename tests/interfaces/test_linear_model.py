@@ -5,7 +5,6 @@ import subprocess
 import sys
 from dataclasses import replace
 
-import control
 import numpy as np
 import pytest
 import sympy
@@ -92,6 +91,8 @@ def test_the_matrices_are_the_central_differences_of_the_engine(lag, slip, road)
 
 @pytest.mark.parametrize(("slip", "road"), [(0.2, 150.0), (0.5, 100.0)])
 def test_a_step_of_the_duty_moves_the_plant_as_the_state_space_says(slip, road):
+    import control
+
     model = linearised(MASK, slip, road)
     step, times_s = 0.002, np.arange(0.0, 0.03, 0.0005)
     predicted = control.forced_response(model.to_control(), times_s, np.full(times_s.shape, step)).outputs
@@ -109,6 +110,8 @@ def test_a_step_of_the_duty_moves_the_plant_as_the_state_space_says(slip, road):
 
 
 def test_the_state_space_has_names_and_the_poles_of_the_model():
+    import control
+
     system = linearised(MASK, 0.2, 100.0).to_control()
     assert isinstance(system, control.StateSpace)
     assert system.state_labels == ["wheel_speed_rad_s", "road_speed_rad_s", "brake_torque_nm"]

@@ -12,8 +12,6 @@ from datetime import date
 
 import numpy as np
 import pytest
-from csvw import TableGroup
-from datacite import schema45
 from rocrate.rocrate import ROCrate
 
 from inteco_abs.analysis import publish
@@ -126,6 +124,8 @@ def test_the_crate_lists_every_file_with_people_and_licence(published):
 
 
 def test_datacite_takes_its_metadata(published, folder, tmp_path):
+    from datacite import schema45
+
     publish(
         sorted(folder.iterdir()), tmp_path / "two", authors=[ADA, "Plato"], publisher="Lab", licence="https://a.org/l"
     )
@@ -134,6 +134,8 @@ def test_datacite_takes_its_metadata(published, folder, tmp_path):
 
 
 def test_tables_are_as_their_metadata_say(published):
+    from csvw import TableGroup
+
     for metadata in sorted((published / "tables").glob("*-metadata.json")):
         for table in TableGroup.from_file(metadata).tables:
             assert sum(1 for _ in table.iterdicts(strict=True)) > 0
