@@ -126,7 +126,7 @@ def test_the_slip_is_known_to_a_thousandth_and_held(stop, variation):
 
 
 @pytest.mark.untraced
-@pytest.mark.parametrize("phase", [0.0, 1.0, 3.0])
+@pytest.mark.parametrize("phase", [1.0, *(pytest.param(phase, marks=pytest.mark.long) for phase in (0.0, 3.0))])
 def test_a_ripple_of_the_load_over_a_turn_is_found_bit_by_bit(stop, phase):
     moments = stop(quiet(load_ripple=0.03, load_ripple_phase_rad=phase))
     parts = [(moment.outlook.ripple_cosine, moment.outlook.ripple_sine) for moment in moments]

@@ -133,6 +133,7 @@ def test_without_a_link_it_names_its_terminal():
     assert process.returncode == 0, stderr
 
 
+@pytest.mark.long
 def test_a_whole_stop_in_real_time_over_the_port_replays_without_a_difference(live, mock):
     for at in range(len(RATES_HZ)):
         run = live(rates_hz=RATES_HZ[at:])

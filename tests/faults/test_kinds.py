@@ -137,7 +137,7 @@ def test_a_slow_exchange_is_flagged_and_many_end_the_run(short):
     ("name", "moves"),
     [
         ("brake-stuck=1", "wheel"),
-        ("brake-weak=0.1", "brake"),
+        pytest.param("brake-weak=0.1", "brake", marks=pytest.mark.long),
         pytest.param("brake-dead", "brake", marks=pytest.mark.long),
         pytest.param("drive-stuck=1", "drive", marks=pytest.mark.long),
     ],

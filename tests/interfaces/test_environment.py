@@ -163,7 +163,7 @@ def test_a_rig_may_be_named_and_unnamed_ones_follow_from_the_seed():
 
 
 @compiles
-@pytest.mark.parametrize("make", [BrakingEnv, BrakingVectorEnv])
+@pytest.mark.parametrize("make", [BrakingEnv, pytest.param(BrakingVectorEnv, marks=pytest.mark.long)])
 def test_an_action_that_is_not_a_number_ends_the_stop_with_the_guards_reason(make):
     env = make()
     env.reset(seed=1)

@@ -12,7 +12,7 @@ from one_by_one import REGIMES, Scalars, assert_same, compare, compare_regime, r
 from inteco_abs.montecarlo import BatchPlant
 from inteco_abs.rig import POPULATIONS, RigVariation, draw
 
-WIDEST = ("nominal", "late", "wild")
+WIDEST = ("late", "wild")
 OTHERS = sorted(set(POPULATIONS) - set(WIDEST))
 """Rigs that have nothing which those have not."""
 

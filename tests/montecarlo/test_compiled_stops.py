@@ -68,12 +68,9 @@ def test_stops_that_begin_with_braking_have_the_bits_of_python():
     assert_same_stops([draw("rough", 3)], configured("controller.gains.lag_s=0.05"), run_up_from_rad_s=None)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
-    ("controller", "estimator"),
-    [
-        ("reaching-law", "moving-window"),
-        pytest.param("predictive-reaching", "observer", marks=pytest.mark.long),
-    ],
+    ("controller", "estimator"), [("reaching-law", "moving-window"), ("predictive-reaching", "observer")]
 )
 def test_a_stop_that_calls_its_controller_in_python_has_the_bits_of_python(controller, estimator):
     config = configured(f"controller.name={controller}", f"estimator.name={estimator}")

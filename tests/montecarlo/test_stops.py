@@ -139,6 +139,7 @@ def test_without_run_up_braking_begins_at_the_start_speed():
     assert (trace.road_speed_rad_s[0], trace.slip[0], trace.brake[0]) == (40.0, pytest.approx(0.0, abs=1e-12), 0.7)
 
 
+@pytest.mark.long
 def test_the_ideal_estimator_knows_the_true_slip():
     stops = short_stops(config=configured("experiment.start_speed_rad_s=40", "estimator.name=ideal"), traced=[1])
     trace = stops.traces[1]
@@ -308,7 +309,10 @@ def test_locked_stops_are_counted_by_share():
     assert made_up(lock_fraction=[0.0, 0.001, 0.5, math.nan]).summary().locked == 0.5
 
 
-@pytest.mark.parametrize(("count", "share", "confidence"), [(20, 0.5, 0.95), (300, 0.5, 0.9), (300, 0.99, 0.9)])
+@pytest.mark.parametrize(
+    ("count", "share", "confidence"),
+    [(20, 0.5, 0.95), (300, 0.5, 0.9), pytest.param(300, 0.99, 0.9, marks=pytest.mark.long)],
+)
 def test_the_interval_is_that_of_stops_drawn_again(count, share, confidence):
     noise = np.random.default_rng(3)
     ranked = np.sort(noise.lognormal(size=count))

@@ -102,7 +102,11 @@ NOT_NUMBERED = "board.numbering_pwm=-1"
 
 
 @pytest.mark.parametrize("frames", [(NUMBERED,), (NOT_NUMBERED, DATED)], ids=" ".join)
-@pytest.mark.parametrize("one_in", [{"lost": 500}, {"late": 500}, {"lost": 500, "late": 500}], ids=" and ".join)
+@pytest.mark.parametrize(
+    "one_in",
+    [{"lost": 500, "late": 500}, *(pytest.param({one: 500}, marks=pytest.mark.long) for one in ("lost", "late"))],
+    ids=" and ".join,
+)
 def test_stop_at_2_khz_survives_and_counts_1_answer_in_500_lost_or_late(frames, one_in):
     ride = Ride(at_random(1, **one_in), *frames)
     assert ride.reason is Reason.NONE

@@ -28,7 +28,7 @@ def gone_on(session, *settings, at_s=0.0, controllers=CONTROLLERS):
             id="rough",
             marks=[pytest.mark.untraced, pytest.mark.long],
         ),
-        pytest.param(("experiment.stops=2",), id="stops", marks=pytest.mark.untraced),
+        pytest.param(("experiment.stops=2",), id="stops", marks=[pytest.mark.untraced, pytest.mark.long]),
     ],
 )
 def test_with_its_own_controller_a_virtual_run_continues_to_the_last_bit(run, settings):

@@ -121,7 +121,7 @@ def test_each_change_takes_effect_at_its_tick_and_is_recorded_with_it(small, rep
     assert replayed(session).differing == 0
 
 
-@pytest.mark.parametrize("law", ["reaching-law", "boundary-layer"])
+@pytest.mark.parametrize("law", ["reaching-law", pytest.param("boundary-layer", marks=pytest.mark.long)])
 def test_a_compiled_replay_makes_the_changes_with_the_bits_of_python(small, law):
     changes = ("reference_slip=0.3@brake+#20", "reference_slip=0.1@brake2", "Mk=30@brake2+25ms", "Mk=3@#0", "Mq=0.5@#0")
     session = small(*changes, law=law).session

@@ -88,7 +88,7 @@ def test_a_part_is_not_replayed(chunked):
         replay_session(chunked.session[0.1:0.2], build_pipeline(session_config(chunked.session, (control_check(),))))
 
 
-@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_a_long_session_replays_block_by_block(long_session, monkeypatch, compiled):
     monkeypatch.setattr(type(long_session), "blocks", lambda session, *_: rows.in_step(session.rows.parts(), 1000))
     found = replay_session(

@@ -68,6 +68,7 @@ def test_controllers_gains_and_estimators_are_compared_on_populations(inteco_abs
     assert (tmp_path / "rms.svg").read_text().startswith("<?xml")
 
 
+@pytest.mark.long
 def test_stops_that_fail_are_reported_and_the_others_scored(inteco_abs, tmp_path):
     (tmp_path / "own.py").write_text(OWN)
     run = inteco_abs("sweep", *QUICK, "--controller", "own.py:Own", "--set", "controller.gains.duty=0.5,0.8", check=3)

@@ -130,6 +130,7 @@ class TestPage:
 
 @pytest.mark.usefixtures("without_matplotlib")
 class TestOddSessions:
+    @pytest.mark.long
     def test_one_tick_of_a_real_rig_is_a_page_with_plots(self, session):
         one = page_of(session.with_rows(session.ticks[:1], session.truth[:0]))
         assert "The run ended before braking" in one.words
