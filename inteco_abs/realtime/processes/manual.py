@@ -10,20 +10,19 @@ import os
 import time
 from abc import ABC, abstractmethod
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from firmware_protocol import signed32
 from inteco_abs.boards import Board, family_of, open_board, simulated
 from inteco_abs.config import RigConfig, bounded_in_time
 from inteco_abs.control import Guard, MovingAverageSpeed
-from inteco_abs.errors import AbsError, BoardError, LinkError
+from inteco_abs.errors import BoardError, LinkError
 from inteco_abs.format import TICK, pack_tick
 from inteco_abs.realtime.clock import PacedClock
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.loop import StopSource
 from inteco_abs.realtime.memory import Field, Mailbox, RunMemory, alive
-from inteco_abs.realtime.ownership import holding, post_failure
+from inteco_abs.realtime.ownership import holding, run_role
 from inteco_abs.realtime.processes.loop import SharedStop
 from inteco_abs.realtime.round_trips import require_rate
 from inteco_abs.realtime.tuning import apply, loop_tuning
@@ -257,15 +256,7 @@ def read_all(board: Board) -> dict[str, Any]:
 
 def main(path: str) -> int:
     """Hold the board of the job in the memory at `path` until it has to end."""
-    memory = RunMemory.open(Path(path))
-    try:
-        _hold(memory, Job.of(memory))
-    except AbsError as error:
-        post_failure(memory, Mailbox.FAILURE, error)
-        return error.exit_code
-    if not alive(memory.words[Field.SUPERVISOR_PID]):
-        memory.remove()  # no other process will, and nothing in it is to be kept
-    return 0
+    return run_role(path, _hold)
 
 
 def _hold(memory: RunMemory, job: Job) -> None:
@@ -285,4 +276,6 @@ def _hold(memory: RunMemory, job: Job) -> None:
         memory.words[Field.READY] = os.getpid()
         for _ in clock:
             if not loop.beat():
-                return
+                break
+    if not alive(memory.words[Field.SUPERVISOR_PID]):
+        memory.remove()  # no other process will, and nothing in it is to be kept
