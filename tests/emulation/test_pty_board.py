@@ -184,6 +184,7 @@ def test_a_board_that_is_unplugged_in_a_run_is_said_loudly(live, mock):
     assert "MOTOR POWER MAY STILL BE ON: press the emergency switch" in stderr
 
 
+@pytest.mark.long
 def test_a_missing_board_is_an_error_before_any_process_starts(tmp_path):
     process = subprocess.run(
         [COMMAND, "run", "--board", f"usb:{tmp_path}/nowhere", "--set", "profile=sim_usb"],

@@ -56,6 +56,7 @@ def test_a_switching_law_swings_as_far_and_as_fast_as_predicted():
         assert row.frequency_hz == pytest.approx(frequency_hz, rel=0.15)  # of three to five periods
 
 
+@pytest.mark.long
 def test_the_boundary_layer_that_is_advised_does_not_swing():
     brake = Brake(0.02, 0.06, 0.015)
     rigs = [(lag_s, brake.dead_time_s) for lag_s in (brake.least_lag_s, 0.04, brake.most_lag_s)]

@@ -50,6 +50,7 @@ def test_the_slip_of_a_hard_rig_is_held_to_a_thousandth_and_a_half():
 
 
 @pytest.mark.untraced
+@pytest.mark.long
 def test_20_ms_of_dead_time_are_tolerated():
     require_targets(stops_of("slow", 3, OURS), 0.0015)
 
@@ -72,6 +73,7 @@ def test_error_is_a_tenth_of_the_papers_laws_at_most_on_every_rig():
 
 
 @pytest.mark.untraced
+@pytest.mark.long
 def test_what_the_oracle_knows_halves_the_error():
     config = configured(OURS)
     rigs = draws("hard", 2)
@@ -81,6 +83,7 @@ def test_what_the_oracle_knows_halves_the_error():
     assert (oracle["overshoot"] < 0.001).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rig", [draw("nominal", FIRST), replace(draw("late", FIRST), grip_step_after_s=0.3)])
 def test_the_oracle_brakes_a_rig_without_lag_and_one_whose_road_steps(rig):
     config = configured(OURS, *SLOWER)
@@ -124,6 +127,7 @@ def ratios(folder, count, *settings, run_up_from_rad_s=165.0):
 
 
 @pytest.mark.untraced
+@pytest.mark.long
 def test_the_whole_stack_gives_what_the_ensemble_gives(tmp_path):
     found = ratios(tmp_path, 1, OURS, *SLOWER, run_up_from_rad_s=85.0)
     assert [found[name] for name in ACTUATOR] == pytest.approx([1.0] * 3, abs=0.03)

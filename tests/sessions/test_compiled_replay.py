@@ -196,7 +196,7 @@ def law_of(law, *, a_function=True):
     ("law", "a_function"),
     [
         pytest.param(with_a_power, True, marks=pytest.mark.long),
-        (dividing, True),
+        pytest.param(dividing, True, marks=pytest.mark.long),
         (uncompilable, True),
         (without, False),
     ],

@@ -116,7 +116,14 @@ def test_verbs_that_only_look_work_on_a_newer_session(later, verb, tmp_path):
     assert "tyre_c is left out" in exported.err
 
 
-@pytest.mark.parametrize("arguments", [("figure", "--out", "stop.svg"), ("report", "--out", "stop.html"), ("extract",)])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("figure", "--out", "stop.svg"),
+        pytest.param(("report", "--out", "stop.html"), marks=pytest.mark.long),
+        ("extract",),
+    ],
+)
 def test_a_verb_that_shows_a_newer_session_ends_with_3(later, verb, tmp_path, monkeypatch, arguments):
     monkeypatch.chdir(tmp_path)
     name, *options = arguments

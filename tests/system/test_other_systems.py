@@ -90,6 +90,7 @@ def test_reports_figures_sweeps_and_the_rest_run_there(system, tmp_path):
     assert [one["code"] for one in found["verbs"]] == [0] * len(verbs), found["verbs"]
 
 
+@pytest.mark.long
 def test_text_is_written_with_the_same_line_ends_on_every_system():
     kernel = {"realtime/tuning.py", "boards/transports/serial_ports.py", "cli/run.py"}  # files of the kernel's
     for path in PACKAGE.rglob("*.py"):

@@ -38,6 +38,7 @@ def test_a_loop_that_is_killed_leaves_safe_behind(command_path, tmp_path, untrac
         run.destroy()
 
 
+@pytest.mark.long
 def test_without_a_board_the_command_names_where_it_searched(inteco_abs, tmp_path):
     run = inteco_abs("run", "--board", "pci:7f:1f.7", "--out", "stop.mcap")
     assert run.returncode == 1

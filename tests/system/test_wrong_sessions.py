@@ -217,6 +217,7 @@ def test_a_disk_that_is_full_gets_one_clear_answer_and_no_half_a_file(answers, w
         answers.to(row._replace(given=()))
 
 
+@pytest.mark.long
 def test_a_disk_that_fills_up_during_a_run_is_reported_and_leaves_a_readable_file(
     command_path, inteco_abs, untraced, tmp_path
 ):
