@@ -7,6 +7,7 @@ source is that which Python runs.
 from __future__ import annotations
 
 import ast
+import gc
 import hashlib
 import inspect
 import re
@@ -34,6 +35,7 @@ _PICKLE: Final = b"\x80"
 """Its first byte, which no other byte of a version is."""
 _DIGEST_BYTES: Final = hashlib.sha256().digest_size
 _DECLARED: Final = re.compile(r'^(?:declare [^@]*)?@"?([^"(\s]+)"?(?:\(| = external )', re.MULTILINE)
+_BARE: Final[dict[str, Any]] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 _PLACE: Final = re.compile(r'File "([^"]+)", line (\d+)')
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -49,6 +51,8 @@ def compiled(function: Function) -> Function:
 
 def compile_problem(function: Function, arguments: Sequence[Any]) -> str:
     """What cannot be compiled for such arguments, with its line as far as numba names it; empty if all can."""
+    collecting = gc.isenabled()
+    gc.disable()  # all that numba makes stays: to look for what does not takes an eighth of the time
     try:
         native: Any = compiled(function)
         native.compile(tuple(map(typeof, arguments)))
@@ -58,6 +62,9 @@ def compile_problem(function: Function, arguments: Sequence[Any]) -> str:
         problem = next((line for line in said if line and not line.startswith(("Failed in", "During", "File"))), text)
         places = [place for place in _PLACE.findall(text) if not place[0].endswith("closed_loop.py")]
         return f"{type(error).__name__}: {problem}" + "".join(f" ({file}, line {line})" for file, line in places[:1])
+    finally:
+        if collecting:
+            gc.enable()
     return ""
 
 
@@ -89,22 +96,22 @@ def object_code(function: Callable[..., Any], arguments: Sequence[Any]) -> tuple
 
     call = f"function({', '.join(map(expression, arguments))})"
     exec(f"def entry({', '.join(names)}):\n    return {call}", known)  # noqa: S102  of the lines above
-    bare: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    entry = njit(tuple(kinds), error_model="numpy", **bare)(known["entry"])
+    entry = njit(tuple(kinds), error_model="numpy", **_BARE)(known["entry"])
     made: Any = next(iter(entry.overloads.values()))
     _, _, (data, _) = made.library.serialize_using_object_code()
     return made.fndesc.llvm_func_name, data, set(_DECLARED.findall(made.library.get_llvm_str()))
 
 
 @cache
-def _compiled(function: BoundFunction) -> Any:
+def _compiled(function: BoundFunction, *, inner: bool = False) -> Any:
+    """As by `compiled`; `inner` has machine code for its caller only: code for Python takes a third of the time."""
     made = _without_parameters(*function)
     own = {name: _native(made.__globals__[name]) for name in global_names(made)}
-    own |= {name: _compiled(part) for name, part in function.keywords}
+    own |= {name: _compiled(part, inner=True) for name, part in function.keywords}
     copy = FunctionType(made.__code__, {**made.__globals__, **own}, made.__name__, made.__defaults__)
-    copy.__qualname__ = f"{function.name}_{function.content()}"
+    copy.__qualname__ = f"{function.name}_{function.content()}{'_inner' * inner}"  # numba finds its files by it
     kept = Path(made.__code__.co_filename).is_file()  # numba has no folder for one without a file
-    native: Any = njit(cache=kept, nogil=True, error_model="numpy")(copy)
+    native: Any = njit(cache=kept, nogil=True, error_model="numpy", **(_BARE if inner else {}))(copy)
     if kept and native is not copy:  # as it is where NUMBA_DISABLE_JIT is set
         native._cache._cache_file.__class__ = _CheckedFiles  # noqa: SLF001  numba offers no other place for a check
     return native
@@ -161,11 +168,11 @@ def _without_parameters(function: FunctionType, keywords: Sequence[tuple[str, Bo
 
 def _native(value: Any) -> Any:
     if isinstance(value, FunctionType):
-        return compiled(value)
+        return _compiled(bound(value), inner=True)
     if value is elementary:
         module = ModuleType(elementary.__name__)
         portable = elementary.ARITHMETICS[elementary.PORTABLE]
-        vars(module).update({name: compiled(function) for name, function in portable.items()})
+        vars(module).update({name: _compiled(bound(function), inner=True) for name, function in portable.items()})
         return module
     if is_dataclass(value) and not isinstance(value, type):
         return namedtuple(type(value).__name__, [field.name for field in fields(value)])(*astuple(value))  # noqa: PYI024  its fields are another's
