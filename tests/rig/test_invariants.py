@@ -1,4 +1,5 @@
 import math
+import sys
 
 import pytest
 from hypothesis import given, settings
@@ -17,8 +18,10 @@ speeds_rad_s = (
     st.sampled_from([0.0, 180.0, -180.0, 1e-3, 1e-9, -1e-6]) | st.floats(0.001, 260.0) | st.floats(-260.0, -0.001)
 )
 forward_rad_s = st.sampled_from([0.0, 180.0, 1e-3, 1e-9]) | st.floats(0.001, 260.0)
-bounded = settings(deadline=None, max_examples=60)
-costly = settings(deadline=None, max_examples=15)
+bounded = settings(max_examples=max(20, settings().max_examples))
+costly = settings(max_examples=max(8, settings().max_examples // 5))
+ROUNDED = 1 + 4 * sys.float_info.epsilon
+"""An energy is a sum of two products: nearly no time, 1e-16 s, may change its last digit."""
 
 
 @bounded
@@ -46,7 +49,7 @@ def test_energy_never_grows_with_the_drive_off(parameters, start, pushes):
     for brake, duration_s in pushes:
         plant.advance(0.0, brake, duration_s)
         left_j = kinetic_energy(plant.wheel_speed, plant.road_speed, parameters)
-        assert left_j <= energy_j
+        assert left_j <= energy_j * ROUNDED
         energy_j = left_j
 
 
