@@ -138,7 +138,13 @@ def test_an_estimator_that_is_a_class_runs_in_python_with_the_same_bits(monkeypa
         assert ours.tobytes() == theirs.tobytes()
 
 
-@compiles
+@pytest.fixture
+def in_python(monkeypatch):
+    """As where numba is not installed: its code would be made first, for nine seconds."""
+    monkeypatch.setitem(sys.modules, "numba", None)
+
+
+@pytest.mark.usefixtures("in_python")
 def test_a_rig_may_be_named_and_unnamed_ones_follow_from_the_seed():
     env = BrakingEnv(longest_s=0.05)
     assert env.reset(seed=1, options={"rig_seed": 17})[1]["rig"] == "hard:17"
@@ -162,8 +168,8 @@ def test_a_rig_may_be_named_and_unnamed_ones_follow_from_the_seed():
             either.reset(options={"rig_sed": 17})
 
 
-@compiles
-@pytest.mark.parametrize("make", [BrakingEnv, pytest.param(BrakingVectorEnv, marks=pytest.mark.long)])
+@pytest.mark.usefixtures("in_python")
+@pytest.mark.parametrize("make", [BrakingEnv, BrakingVectorEnv])
 def test_an_action_that_is_not_a_number_ends_the_stop_with_the_guards_reason(make):
     env = make()
     env.reset(seed=1)
@@ -211,7 +217,7 @@ def test_default_reward_is_the_slip_error_and_a_penalty_for_locking():
     assert own[1].tolist() == [-info["road_speed_rad_s"] for info in own[2][1:]]
 
 
-@compiles
+@pytest.mark.usefixtures("in_python")
 def test_a_reward_needs_a_number_for_each_environment():
     envs = BrakingVectorEnv(2, reward=lambda truth: -truth.slip[:1])
     with pytest.raises(ValueError, match=r"reward of shape \(1,\): must be \(2,\), a number per environment"):
@@ -283,6 +289,7 @@ def test_without_gymnasium_the_error_names_the_extra():
     assert "AbsError: the environments need Gymnasium: pip install 'inteco-abs[gym]'" in done.stderr
 
 
+@pytest.mark.long
 @compiles
 def test_without_numba_many_at_once_run_in_python():
     code = (

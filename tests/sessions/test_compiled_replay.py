@@ -22,7 +22,8 @@ from inteco_abs.signals import BoardFlags, BrakeDemand, Phase, Reason
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
 TESTS = Path(__file__).parents[1]
-KEPT = [*(TESTS / "golden").glob("*.mcap"), TESTS / "sessions" / "archive" / "v5.mcap"]
+GOLDEN = list((TESTS / "golden").glob("*.mcap"))
+ARCHIVED = TESTS / "sessions" / "archive" / "v5.mcap"
 TWO_STOPS = ("experiment.stops=2", "estimator.name=kalman", "controller.name=boundary-layer")
 
 
@@ -53,7 +54,7 @@ def both(session, **options):
     return [replay_session(session, pipeline_of(session), compiled=way, **options) for way in (True, False)]
 
 
-@pytest.mark.parametrize("path", KEPT, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", [*GOLDEN, pytest.param(ARCHIVED, marks=pytest.mark.long)], ids=lambda path: path.stem)
 def test_every_kept_session_has_the_same_replay(path):
     session = read_session(path)
     if recorded_with(session) == "portable":
@@ -63,7 +64,7 @@ def test_every_kept_session_has_the_same_replay(path):
 
 
 def test_a_golden_session_has_portable_arithmetic():
-    assert "portable" in {recorded_with(read_session(path)) for path in KEPT if path.parent.name == "golden"}
+    assert "portable" in {recorded_with(read_session(path)) for path in GOLDEN}
 
 
 @pytest.mark.long
