@@ -35,6 +35,13 @@ def test_machine_code_is_kept_until_any_file_that_it_comes_from_changes(result_o
     assert result_of("def inner(x):\n    return x + 10.0\n") == (12.0, False)
 
 
+def test_a_function_that_another_compiled_one_calls_can_be_called_from_python_as_well(result_of):
+    """The code that is kept for its caller has no entry for Python: to load that would end the process."""
+    result_of("def inner(x):\n    return x + 1.0\n")
+    function = compiled(sys.modules["inner_file"].inner)
+    assert (function(2.0), bool(function.stats.cache_hits)) == (3.0, False)
+
+
 def test_machine_code_is_made_again_when_a_constant_of_another_file_changes(result_of, tmp_path, monkeypatch):
     inner = "from constant_file import ADDED\n\ndef inner(x):\n    return x + ADDED\n"
     for added, from_disk in ((1.0, False), (1.0, True), (10.0, False)):
