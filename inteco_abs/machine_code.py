@@ -36,6 +36,7 @@ _PICKLE: Final = b"\x80"
 _DIGEST_BYTES: Final = hashlib.sha256().digest_size
 _DECLARED: Final = re.compile(r'^(?:declare [^@]*)?@"?([^"(\s]+)"?(?:\(| = external )', re.MULTILINE)
 _BARE: Final[dict[str, Any]] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+"""Options of numba: no code by which Python or C could call the function."""
 _PLACE: Final = re.compile(r'File "([^"]+)", line (\d+)')
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -52,7 +53,7 @@ def compiled(function: Function) -> Function:
 def compile_problem(function: Function, arguments: Sequence[Any]) -> str:
     """What cannot be compiled for such arguments, with its line as far as numba names it; empty if all can."""
     collecting = gc.isenabled()
-    gc.disable()  # all that numba makes stays: to look for what does not takes an eighth of the time
+    gc.disable()  # nearly all that numba makes stays: looking for the rest takes an eighth of the time
     try:
         native: Any = compiled(function)
         native.compile(tuple(map(typeof, arguments)))
