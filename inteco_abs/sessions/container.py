@@ -278,9 +278,10 @@ _UNPACK: Final[dict[str, Callable[[memoryview, int], bytes]]] = {
 
 
 def chunk_parts(raw: bytes, variable_size: Collection[int] = ()) -> Iterator[Entry | FixedRun | VariableRun]:
-    """Content of an unpacked chunk in order. Raises DamagedError at an incomplete record.
+    """Content of an unpacked chunk. Raises DamagedError at an incomplete record.
 
-    Messages of the channels `variable_size` come as `VariableRun`, and are not checked.
+    Messages of one channel are in order; those of channels that take turns come channel by channel. Those of the
+    channels `variable_size` come as `VariableRun`, and are not checked.
     """
     at = 0
     while at < len(raw):

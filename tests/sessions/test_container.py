@@ -3,7 +3,7 @@
 import struct
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from inteco_abs.sessions.container import DamagedError, Entry, FixedRun, Opcode, chunk_parts, fields, text_map
@@ -18,26 +18,33 @@ def message(channel, size, number):
 
 @pytest.mark.untraced
 @given(MESSAGES, st.booleans())
-def test_runs_are_the_messages_in_order(groups, between):
+@example([(0, 0, 1), (1, 0, 1), (0, 0, 1), (1, 0, 1)], False)
+def test_runs_are_the_messages_each_channel_in_order(groups, between):
     written = []
     for channel, size, count in groups:
         written += [(channel, size)] * (count if size < 1000 else 1)
-    raw = b""
+    raw, metadata = b"", []
     for number, (channel, size) in enumerate(written):
         raw += message(channel, size, number)
         if between and number % 5 == 0:
+            metadata.append(number)
             raw += struct.pack("<BQ", Opcode.METADATA, 3) + b"abc"
-    found = []
+    found, last = {}, {}
     for part in chunk_parts(raw):
         if isinstance(part, FixedRun):
             for row in part.rows:
-                found.append((part.channel, row["data"].dtype.itemsize))
+                number = int(row["sequence"])
+                assert number > last.get(part.channel, -1)
+                last[part.channel] = number
+                found[number] = part.channel, row["data"].dtype.itemsize
                 assert row["channel"] == part.channel
-                assert (row["sequence"], row["log_time"]) == (len(found) - 1, 1000 * (len(found) - 1))
-                assert set(bytes(row["data"])) <= {(len(found) - 1) % 256}
+                assert row["log_time"] == 1000 * number
+                assert set(bytes(row["data"])) <= {number % 256}
         else:
             assert (part.opcode, bytes(part.data)) == (Opcode.METADATA, b"abc")
-    assert found == written
+            assert sorted(found) == list(range(metadata.pop(0) + 1))
+    assert [found[number] for number in sorted(found)] == written
+    assert not metadata
 
 
 @given(MESSAGES, st.data())
