@@ -29,9 +29,11 @@ def test_runs_are_the_messages_each_channel_in_order(groups, between):
         if between and number % 5 == 0:
             metadata.append(number)
             raw += struct.pack("<BQ", Opcode.METADATA, 3) + b"abc"
-    found, last = {}, {}
+    found, last, first = {}, {}, -1
     for part in chunk_parts(raw):
         if isinstance(part, FixedRun):
+            assert part.rows["sequence"][0] > first
+            first = int(part.rows["sequence"][0])
             for row in part.rows:
                 number = int(row["sequence"])
                 assert number > last.get(part.channel, -1)
