@@ -32,6 +32,8 @@ _MOST_STEPS: Final = 50
 _FIRST_DAMPING: Final = 1e-3
 _HARDEST: Final = 1e10
 """Damping beyond which no step lowers the sum of squares: its rounding errors are reached."""
+_SHARES: Final = (1.0, 0.5, 0.25)
+"""Shares of Newton's step that are tried beside the damped one, which is short along a flat valley."""
 _SPEED_SD_RAD_S: Final = 5.0
 """Standard deviation of a segment's start speeds around those of its first counts."""
 _SPEEDS: Final[Mapping[str, int]] = {"run-up": 0, "coast-down": 1, "braking": 2}
@@ -39,9 +41,14 @@ _SPEEDS: Final[Mapping[str, int]] = {"run-up": 0, "coast-down": 1, "braking": 2}
 within milliseconds, so its start is not observed."""
 _STEP: Final = 1e-4
 """Step of the differences: the integration's steps are cut differently from there on, which moves counts by 1e-4."""
-_WIDE: Final = {"d1": 1e-2, "M10": 1e-2, "blend": 1e-2, "creep": 1e-2, "release_delay": 1e-5} | dict.fromkeys(
-    ("creep_p", "w1/w4", "w2/w4", "w3/w4", "dead_time", "release", "fade"), 1e-3
-)
+_WIDE: Final = {
+    "d1": 1e-2,
+    "M10": 1e-2,
+    "blend": 1e-2,
+    "creep": 1e-2,
+    "dead_time": 1e-5,
+    "release_delay": 1e-5,
+} | dict.fromkeys(("creep_p", "w1/w4", "w2/w4", "w3/w4", "release", "fade"), 1e-3)
 """Step for parameters of little effect, of which that error would be a larger share, and of a time in s."""
 _LONGEST_S: Final = 3e-3
 """Longest step of the release's delay: beyond the corner where a release acts at once, hardly a slope leads back."""
@@ -200,7 +207,7 @@ def _round(problem: _Problem, found: Floats, progress: Progress | None) -> tuple
     less: it is small in a long flat valley, too. A round that is not the last ends at the noise it assumes.
     """
     free = problem.free
-    residuals, damping, longest = problem.residuals(found), _FIRST_DAMPING, problem.longest[free]
+    residuals, damping = problem.residuals(found), _FIRST_DAMPING
     for _ in range(_MOST_STEPS):
         if progress is not None:
             progress(problem.noise, math.sqrt(residuals @ residuals / len(residuals)) * problem.noise)
@@ -208,15 +215,14 @@ def _round(problem: _Problem, found: Floats, progress: Progress | None) -> tuple
         gradient, information = jacobian.T @ residuals, jacobian.T @ jacobian
         size = np.sqrt(np.diag(information))
         scaled, slope = information / np.outer(size, size), gradient / size
-        variance = residuals @ residuals / len(residuals)
-        distance = slope @ np.linalg.solve(scaled, slope)
+        variance, newton = residuals @ residuals / len(residuals), np.linalg.solve(scaled, slope)
+        distance = slope @ newton
         if distance < (_NEAR * _NEAR * variance if problem.noise == _NOISES[-1] else 1.0):
             return found, True
+        along = [_moved(problem, found, share * newton / size) for share in _SHARES]
         while damping <= _HARDEST:
-            trial = found.copy()
-            step = np.linalg.solve(scaled + damping * np.eye(len(size)), slope) / size
-            trial[free] -= step * np.min(longest / np.maximum(np.abs(step), longest))
-            nearer = problem.residuals(trial)
+            damped = np.linalg.solve(scaled + damping * np.eye(len(size)), slope) / size
+            trial, nearer = min([*along, _moved(problem, found, damped)], key=lambda each: each[1] @ each[1])
             if nearer @ nearer < residuals @ residuals:
                 found, residuals, damping = trial, nearer, damping / 10.0
                 break
@@ -224,6 +230,13 @@ def _round(problem: _Problem, found: Floats, progress: Progress | None) -> tuple
         else:
             return found, bool(distance < _FLAT * _FLAT * problem.scatter(found))
     return found, False
+
+
+def _moved(problem: _Problem, found: Floats, step: Floats) -> tuple[Floats, Floats]:
+    """The parameters less a `step`, shortened to what each bears, and their residuals."""
+    trial, longest = found.copy(), problem.longest[problem.free]
+    trial[problem.free] -= step * np.min(longest / np.maximum(np.abs(step), longest))
+    return trial, problem.residuals(trial)
 
 
 class _Problem:

@@ -96,7 +96,7 @@ class Priors:
             FitParameter("a", k.a, 1.0),
             FitParameter("p", k.p, 0.1),
             FitParameter("lag", lag, 0.05, log=False),
-            FitParameter("dead_time", 0.01, 1.0),
+            FitParameter("dead_time", 0.01, 0.02, log=False),
             FitParameter("release", 1.0, 0.5),
             FitParameter("release_delay", 0.0, 0.02, log=False),
             FitParameter("fade", 0.0, 0.2, log=False),
@@ -179,13 +179,15 @@ class Priors:
         if rolling:
             base = self.base
             k = replace(k, w1=base.w1, w2=base.w2, w3=base.w3, w4=base.w4, a=values["creep"], p=values["creep_p"])
-        dead_time_s = min(max(values["dead_time"], 0.0), LONGEST_DEAD_TIME_S)
-        released_s = _CORNER_S * float(np.logaddexp(0.0, (dead_time_s + values["release_delay"]) / _CORNER_S))
+        dead_time_s, released_s = (
+            min(_CORNER_S * float(np.logaddexp(0.0, each / _CORNER_S)), LONGEST_DEAD_TIME_S)
+            for each in (values["dead_time"], values["dead_time"] + values["release_delay"])
+        )
         return RigVariation(
             k,
             brake_dead_time_s=dead_time_s,
             brake_release_ratio=min(max(values["release"], 0.1), 10.0),
-            brake_release_delay_s=min(released_s, LONGEST_DEAD_TIME_S) - dead_time_s,
+            brake_release_delay_s=released_s - dead_time_s,
         )
 
 
@@ -194,7 +196,7 @@ _RADII: Final = 0.03
 _LEAST: Final = 0.01
 """Least share of its prior for a parameter that is the difference of others."""
 _CORNER_S: Final = 3e-4
-"""Width of the rounded corner where a release acts at once: beyond a sharp one nothing would change, and no search by
-slopes gets away from it."""
+"""Width of the rounded corner where a rise or a release acts at once: beyond a sharp one nothing would change, and no
+search by slopes gets away from it. A dead time by its logarithm has no corner, but a valley without end instead."""
 _SHORTEST_LAG_S: Final = 1e-4
 """Practically none, as of a brake without lag."""

@@ -94,6 +94,15 @@ def test_a_release_that_acts_at_once_still_has_a_slope_that_leads_away_from_ther
     assert released_s[3:] == pytest.approx([0.01, 0.014], abs=1e-9)
 
 
+def test_a_dead_time_of_none_still_has_a_slope_that_leads_away_from_there():
+    priors = Priors(RigParameters.named("mask"), (0.6,), ASSUMED)
+    begun = priors.values([each.start for each in priors.fit_parameters])
+    tried_s = (-0.003, -0.001, 0.0, 0.01, 0.05)
+    found_s = [priors.variation(begun | {"dead_time": each}, rolling=False).brake_dead_time_s for each in tried_s]
+    assert 0.0 < found_s[0] < found_s[1] < found_s[2] < 0.001
+    assert found_s[3:] == pytest.approx([0.01, 0.05], abs=1e-9)
+
+
 def test_the_last_digits_of_a_parameter_move_no_count(sessions):
     """Else the search ends in a dent of the sum of squares, and which one depends on the processor's rounding."""
     priors = Priors(RigParameters.named("mask"), (0.6, 0.7), ASSUMED)
