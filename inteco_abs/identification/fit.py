@@ -34,6 +34,9 @@ _HARDEST: Final = 1e10
 """Damping beyond which no step lowers the sum of squares: its rounding errors are reached."""
 _SHARES: Final = (1.0, 0.5, 0.25)
 """Shares of Newton's step that are tried beside the damped one, which is short along a flat valley."""
+_FAR: Final = 700.0
+"""Distance from which on they are not: each coordinate may move by that many standard deviations of its prior, and
+beyond this the exponential of a logarithm is no float."""
 _SPEED_SD_RAD_S: Final = 5.0
 """Standard deviation of a segment's start speeds around those of its first counts."""
 _SPEEDS: Final[Mapping[str, int]] = {"run-up": 0, "coast-down": 1, "braking": 2}
@@ -219,10 +222,11 @@ def _round(problem: _Problem, found: Floats, progress: Progress | None) -> tuple
         distance = slope @ newton
         if distance < (_NEAR * _NEAR * variance if problem.noise == _NOISES[-1] else 1.0):
             return found, True
-        along = [_moved(problem, found, share * newton / size) for share in _SHARES]
+        shares = _SHARES if distance < _FAR * _FAR else ()
+        along = [_moved(problem, found, share * newton / size) for share in shares]
         while damping <= _HARDEST:
             damped = np.linalg.solve(scaled + damping * np.eye(len(size)), slope) / size
-            trial, nearer = min([*along, _moved(problem, found, damped)], key=lambda each: each[1] @ each[1])
+            trial, nearer = min([_moved(problem, found, damped), *along], key=lambda each: each[1] @ each[1])
             if nearer @ nearer < residuals @ residuals:
                 found, residuals, damping = trial, nearer, damping / 10.0
                 break
