@@ -50,12 +50,22 @@ class KeptLoop:
 
     def run(self, *arguments: Any) -> bool:
         """Run it; False if it is missing, cannot be made, raises, or leaves the rest to Python."""
+        run = self.prepared(*arguments)
+        return run is not None and run()
+
+    def prepared(self, *arguments: Any) -> Callable[[], bool] | None:
+        """`run` with these arguments, again and again at 2 us each; None if it is missing or cannot be made."""
         if self._code is None:
             self._code = self._loaded(arguments)
             if self._code is None:
-                return False
-        done = ctypes.c_bool()
-        return self._code(ctypes.byref(done), ctypes.byref(ctypes.c_void_p()), *_passed(arguments)) == 0 and done.value
+                return None
+        code, done = self._code, ctypes.c_bool()
+        passed = (ctypes.byref(done), ctypes.byref(ctypes.c_void_p()), *_passed(arguments))
+
+        def run(_kept: tuple[Any, ...] = arguments) -> bool:  # `passed` has no more than addresses
+            return code(*passed) == 0 and done.value
+
+        return run
 
     def _loaded(self, arguments: tuple[Any, ...]) -> Callable[..., int] | None:
         file = _file(self._function, arguments)

@@ -31,7 +31,7 @@ from inteco_abs.control import (
 )
 from inteco_abs.format import TICK
 from inteco_abs.kept_loop import KeptLoop
-from inteco_abs.records import record, records
+from inteco_abs.records import record, records, restore
 from inteco_abs.signals import BrakeDemand, Command, Phase, Sample
 
 _IDLE, _BRAKING, _STOPPED = Phase.IDLE, Phase.BRAKING, Phase.STOPPED
@@ -106,18 +106,12 @@ class CompiledReplay:
 
     def _change(self, _tick: int, name: str, value: float) -> bool:
         """Change a gain in the records; False where Python has to."""
-        if self._records is None:
-            return False
-        parts, sequence = self._records
         try:
             set_gain(self._controller, name, value)
-            if name == REFERENCE:
-                parts.controllers["reference"], sequence = value, sequence._replace(reference_slip=value)
-            k = record(self._controller.k)
-            self._records = parts._replace(controller_k=k), sequence
-        except (AttributeError, TypeError, ValueError):  # it has no such gain, or no such field
+        except (AttributeError, TypeError, ValueError):  # it has no such gain
             return False
-        return bool(k.dtype == parts.controller_k.dtype)  # the loop is for this kind
+        self._records = self._records and changed_records(self._records, self._controller, name, value)
+        return self._records is not None
 
 
 def pipeline_records(pipeline: Pipeline) -> tuple[ControlRecords, SequenceRecords] | None:
@@ -128,6 +122,32 @@ def pipeline_records(pipeline: Pipeline) -> tuple[ControlRecords, SequenceRecord
         return None
     k, s = (record(machine.k), record(guard.k)), (record(machine), record(guard), record(pipeline.decided))
     return parts, SequenceRecords(k[0], s[0], k[1], s[1], s[2], pipeline.reference_slip)
+
+
+def changed_records(
+    found: tuple[ControlRecords, SequenceRecords], controller: Any, name: str, value: float
+) -> tuple[ControlRecords, SequenceRecords] | None:
+    """Records of a pipeline whose `controller` got a gain or reference; None where the code is not for their kind."""
+    parts, sequence = found
+    try:
+        if name == REFERENCE:
+            parts.controllers["reference"], sequence = value, sequence._replace(reference_slip=value)
+        k = record(controller.k)
+    except (AttributeError, TypeError, ValueError):  # it has no such field
+        return None
+    return (parts._replace(controller_k=k), sequence) if k.dtype == parts.controller_k.dtype else None
+
+
+def resume_pipeline(pipeline: Pipeline, found: tuple[ControlRecords, SequenceRecords]) -> None:
+    """Give `pipeline` the state in its records, as `pipeline_records` made them."""
+    (_, estimator, _, controllers), (_, machine, _, guard, decided, _) = found
+    last = pipeline.decided
+    restore(estimator, pipeline.estimator)
+    restore(controllers[0], pipeline.machine.controller)
+    restore(machine, pipeline.machine)
+    restore(guard, pipeline.guard)
+    restore(decided, last)
+    pipeline.resume(last)
 
 
 def function_of_pipeline(pipeline: Pipeline) -> Function:
@@ -182,6 +202,13 @@ def _ordinary(logged: Array, earliest_ns: int = 0) -> bool:
 
 def _bound(loop: Function, estimator: Estimator, controller: Controller) -> Function:
     return partial(loop, estimate=function_of(estimator), control=function_of(controller))
+
+
+def ordinary_sample(sample: Sample, earliest_ns: int) -> bool:
+    """As `CompiledReplay` asks of rows: whether machine code can decide on it."""
+    _, time_ns, _, wheel, road, _ = sample
+    small = -_MOST_COUNTS < wheel < _MOST_COUNTS and -_MOST_COUNTS < road < _MOST_COUNTS
+    return small and earliest_ns <= time_ns < _LATEST_NS
 
 
 def decide_rows(parts: ControlRecords, sequence: SequenceRecords, rows: Any, decide: Function) -> bool:

@@ -183,6 +183,8 @@ class LoopConfig(Section):
     """Rate of the loop: exchanges with the board per second."""
     pace: Literal["computer", "board"] = "computer"
     """Whose clock starts the ticks: the computer's, or the board's, on boards that have a tick (the open board)."""
+    compiled: bool = False
+    """Whether the loop decides in machine code, which is made once in up to 12 s and has the bits of Python."""
     ring_s: Annotated[float, Interval(ge=0.0, le=3600.0)] = 0.0
     """Length of the shared memory for ticks in real time; 0: the longest that the experiment can take, up to 60 s."""
 

@@ -63,6 +63,11 @@ class Pipeline:
         self._estimate = _NO_ESTIMATE
 
     @property
+    def decides_in(self) -> str:
+        """What decides on the next sample."""
+        return "Python"
+
+    @property
     def reference_slip(self) -> float:
         """Slip that the controller holds now."""
         return self._reference(self.machine.controller, self._constant_slip)

@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from inteco_abs.analysis.compiled_replay import function_of_pipeline, pipeline_records
+from inteco_abs.analysis.compiled_replay import function_of_pipeline, pipeline_records, resume_pipeline
 from inteco_abs.boards import Board
 from inteco_abs.boards.frame_board import FrameBoard
 from inteco_abs.boards.frame_exchange import put_command, take_answer
@@ -92,15 +92,12 @@ class CompiledRun:
 
     def resume(self) -> None:
         """Give board, front end, rig and pipeline the state in which the ticks so far have left them."""
-        (_, estimator, _, controllers), (_, machine, _, guard, decided, _), rig, wire = self._state
-        pipeline, plant = self._pipeline, self._front_end.device.plant
-        last = pipeline.decided
-        parts = (pipeline.estimator, pipeline.machine.controller, pipeline.machine, pipeline.guard, last, plant)
-        found = (estimator, controllers[0], machine, guard, decided, rig.s)
-        for numbers, part in zip((*found, wire.host, wire.board), (*parts, self._exchange, self._answer), strict=True):
+        *path, rig, wire = self._state
+        plant = self._front_end.device.plant
+        for numbers, part in ((rig.s, plant), (wire.host, self._exchange), (wire.board, self._answer)):
             restore(numbers, part)
         plant.commands = rig.due_s.tolist(), rig.torques.tolist()
-        pipeline.resume(last)
+        resume_pipeline(self._pipeline, (path[0], path[1]))
         self._front_end.resume(self._answer)
         self._board.resume(self._exchange, bytes(self._answer.answer))
 

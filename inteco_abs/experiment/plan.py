@@ -7,6 +7,7 @@ import uuid
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
@@ -66,6 +67,8 @@ def run_checks(config: RigConfig, plan: Plan) -> Iterator[Callable[[], object]]:
     yield partial(check_limits, plan.board, config)
     yield partial(check_pace, config)
     yield partial(_check_time, config, plan)
+    if config.loop.compiled and not plan.virtual:
+        yield partial(_check_compiled, config)
     if plan.faults:
         yield partial(_check_faults, config, plan)
     if plan.live_port is not None:
@@ -84,6 +87,14 @@ def _check_time(config: RigConfig, plan: Plan) -> None:
         _require_origin(config, plan)
     elif not simulated(plan.board):
         raise ConfigError.of("--virtual", f"{plan.board} is a real board, which runs in real time; omit --virtual")
+
+
+def _check_compiled(config: RigConfig) -> None:
+    """Raise AbsError unless the loop could decide in machine code: it has that of the package's own parts alone."""
+    if config.controller.name not in CONTROLLERS:
+        problem = f"true: {config.controller.name} runs in a process of its own, in Python; set it to false"
+        raise ConfigError.of("loop.compiled", problem)
+    import_module("inteco_abs.kept_loop")  # needs numba
 
 
 def _check_faults(config: RigConfig, plan: Plan) -> None:

@@ -7,8 +7,8 @@ from contextlib import redirect_stdout
 from dataclasses import replace
 
 from inteco_abs.config import RigConfig
-from inteco_abs.control import build_pipeline, check_changes, gains_to_change
-from inteco_abs.errors import ConfigError
+from inteco_abs.control import Pipeline, build_pipeline, check_changes, gains_to_change
+from inteco_abs.errors import AbsError, ConfigError
 from inteco_abs.experiment.plan import Plan, RunProgress, run_checks
 from inteco_abs.experiment.real_time import run_in_real_time
 from inteco_abs.experiment.user_code import time_limit
@@ -46,7 +46,20 @@ def run_stop(
             check_changes(config, gains)
         plan = replace(plan, controller_source=with_files(config.controller.name, plan.controller_source))
         if not plan.virtual:
+            if config.loop.compiled:
+                _make_machine_code(config, pipeline, screen or NoScreen())
             return run_in_real_time(config, plan, screen or NoScreen(), tuner or Tuner(), gains)
         interrupts, screen = Interrupts(), SafeScreen(screen or NoScreen())
         with handle_signals(interrupts.handle), screen.listening(interrupts.handle):
             return VirtualRun(config, plan, pipeline, interrupts).run(progress, screen)
+
+
+def _make_machine_code(config: RigConfig, pipeline: Pipeline, screen: Screen) -> None:
+    """Keep the machine code of the decisions on disk, if it is not there yet; raises AbsError if it cannot be."""
+    from inteco_abs.realtime.compiled_pipeline import CompiledPipeline  # noqa: PLC0415  loads LLVM
+
+    try:
+        CompiledPipeline(config, pipeline)
+    except AbsError:
+        screen.note("making machine code of the decisions, once: this takes up to 12 s")
+        CompiledPipeline(config, pipeline, may_make=True)

@@ -103,6 +103,10 @@ class Message:
         self.pack_into(buffer, 0, values)
         return bytes(buffer)
 
+    def unpack(self, data: bytes | bytearray) -> tuple[Any, ...]:
+        """Values of one message."""
+        return self._struct.unpack(data)[1::2]
+
     def values(self, data: bytes | memoryview, names: Collection[str]) -> Iterator[tuple[Any, ...]]:
         """Values of the columns `names` of each message in `data`, in the order of the columns."""
         return self._keyless(names).iter_unpack(data)

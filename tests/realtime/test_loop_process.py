@@ -77,7 +77,8 @@ def test_before_the_first_tick_it_introduces_itself_and_at_the_end_it_concludes(
     end = process.memory.note(Mailbox.RUN_END)
     assert (end["reason"], end["detail"]) == (Reason.OPERATOR_STOP, "")
     assert int(end["cost"].pop("spin_us")) in range(10, 10_000)
-    assert end["cost"] == {"minor_page_faults": "3", "major_page_faults": "1", "cpu_share": "0.375"}
+    cost = {"minor_page_faults": "3", "major_page_faults": "1", "cpu_share": "0.375", "decisions": "Python"}
+    assert end["cost"] == cost
     assert process.words[Field.READY] == os.getpid()
     assert process.words[Field.HOLDER_PID] == process.words[Field.SAVING] == 0
     assert process.memory.note(Mailbox.FAILURE) is None

@@ -179,6 +179,7 @@ print(json.dumps({
     "frozen": gc.get_freeze_count(),
     "slack_ns": ctypes.CDLL(None).prctl(30, 0, 0, 0, 0),
     "locked_kb": int(status["VmLck"].split()[0]),
+    "resident_kb": int(status["VmRSS"].split()[0]),
     "oom": int(Path("/proc/self/oom_score_adj").read_text()),
     "files": descriptors,
 }))
@@ -280,6 +281,16 @@ class TestProcesses:
     def test_memory_is_locked(self, granted):
         _, found = granted("memory")
         assert found["locked_kb"] > 0
+
+    @pytest.mark.untraced
+    def test_beside_llvm_memory_is_locked_where_it_was_touched(self):
+        command = [sys.executable, "-c", f"import llvmlite.binding\n{CHILD}", "loop_tuning"]
+        found = json.loads(subprocess.run(command, capture_output=True, timeout=60, check=True).stdout)
+        ((_, value, refused),) = (each for each in found["settings"] if each[0] == "memory")
+        if refused:
+            pytest.skip(f"refused here: {refused}")
+        assert value == "locked where touched"
+        assert found["resident_kb"] < found["locked_kb"] / 2  # the kernel counts what may be locked
 
     @real_time_processes
     def test_timers_have_no_slack(self, granted):

@@ -59,6 +59,8 @@ NONE = [
         law(made="raise RuntimeError('no table')")),
     Row("a gain that it does not have", f"{RUN} --set controller.gains.k=1", 2, ("controller.gains.k",),
         "the controller has none", law()),
+    Row("one in machine code", "run --set loop.compiled=true --controller law.py:Law", 2,
+        ("loop.compiled", "law.py:Law runs in a process of its own"), "set it to false", law()),
     Row("replayed without its file", "replay stop.mcap --controller law.py:Law", 2, ("law.py",), "name a file",
         (session(),)),
 ]  # fmt: skip

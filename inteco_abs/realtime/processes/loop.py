@@ -113,6 +113,10 @@ def _hold(memory: RunMemory, job: Job, around: Wrap, controllers: Mapping[str, t
     controller = controllers[config.controller.name]
     table = ChangeTable(memory, (gain.name for gain in controller.gains))
     gains = gains_to_change(pipeline, config, controllers)
+    if config.loop.compiled:
+        from inteco_abs.realtime.compiled_pipeline import CompiledPipeline  # noqa: PLC0415  loads numpy and LLVM
+
+        pipeline = CompiledPipeline(config, pipeline)
     changes = GainChanges(config, pipeline, gains, table.record, table)
     by_board = config.loop.pace == "board"
     clock = AwaitedClock() if by_board else PacedClock(config.period_ns)
@@ -136,7 +140,7 @@ def _hold(memory: RunMemory, job: Job, around: Wrap, controllers: Mapping[str, t
         words[Field.READY] = os.getpid()
         memory.wait(lambda: words[Field.GO] or stopped(memory), PATIENCE_S)
         if words[Field.GO]:
-            cost = _drive(loop, clock)
+            cost = _drive(loop, clock) | {"decisions": pipeline.decides_in}
     if cost:
         end = {"reason": int(pipeline.reason), "detail": detail_of(pipeline, board), "cost": cost}
         memory.post(Mailbox.RUN_END, end)
