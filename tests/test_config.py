@@ -314,7 +314,7 @@ def test_an_unknown_key_is_named_with_the_nearest_known_one(setting, path, neare
 
 
 def test_an_unknown_key_near_nothing_gets_the_known_ones():
-    assert mistakes("loop.zzz=1") == {"loop.zzz": "unknown key; known: pace, rate_hz, ring_s"}
+    assert mistakes("loop.zzz=1") == {"loop.zzz": "unknown key; known: compiled, pace, rate_hz, ring_s"}
 
 
 @pytest.mark.parametrize("value", ["true", "false", "nan", "-nan", "inf", "-inf", "1e400", "[0.7]", "1979-05-27", ""])
