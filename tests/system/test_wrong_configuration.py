@@ -47,7 +47,7 @@ ROWS = [
     Row("nearly a section", f"{SET} gaurd.brake_limit=0.7", 2, ("gaurd: unknown key",), "did you mean guard?"),
     Row("a gain without its section", f"{SET} Mk=5", 2, ("Mk: unknown key",), "did you mean controller.gains.Mk?"),
     Row("a key without its section", f"{SET} brake_limit=0.7", 2, ("unknown key",), "mean guard.brake_limit?"),
-    Row("a key of another program", f"{SET} loop.priority=9", 2, ("loop.priority",), "known: compiled, pace, rate_hz, ring_s"),
+    Row("a key of another program", f"{SET} loop.priority=9", 2, ("loop.priority",), "known: compiled, pace, rate_hz"),
     Row("a version that there is not", FILE, 2, ("format (rig.toml, line 1): unknown key",), "known: board, controller",
         rig("format = 2\n")),
     Row("an include", FILE, 2, ("include (rig.toml, line 1): unknown key",), "known: board",
