@@ -54,7 +54,7 @@ class KeptLoop:
         return run is not None and run()
 
     def prepared(self, *arguments: Any) -> Callable[[], bool] | None:
-        """`run` with these arguments, again and again at 2 us each; None if it is missing or cannot be made."""
+        """`run` with these arguments, again and again at 1 us each; None if it is missing or cannot be made."""
         if self._code is None:
             self._code = self._loaded(arguments)
             if self._code is None:

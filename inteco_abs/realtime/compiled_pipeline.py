@@ -46,8 +46,9 @@ class CompiledPipeline(Pipeline):
         self._decide: Callable[[], bool] | None = None
         self._records: Any = pipeline_records(self)
         self._states: list[tuple[memoryview, bytearray]] = []
-        if self._records is not None and is_own(function_of_pipeline(self)):  # else not with the bits of a replay
-            self._loop = KeptLoop(partial(decide_rows, decide=function_of_pipeline(self)), may_make=may_make)
+        decide = function_of_pipeline(self)
+        if self._records is not None and is_own(decide):  # else not with the bits of a replay
+            self._loop = KeptLoop(partial(decide_rows, decide=decide), may_make=may_make)
             self._prepare()
         if self._decide is None:
             parts = f"{config.controller.name} with {config.estimator.name}"
@@ -100,7 +101,7 @@ class CompiledPipeline(Pipeline):
         self._decide = self._loop.prepared(parts, sequence, TICK.array(self._row))
         changing = (parts.estimator, parts.controllers, sequence.machine, sequence.guard, sequence.decided)
         self._states = []
-        for found in (np.frombuffer(each, np.uint8) for each in changing):  # to read only, of a record
+        for found in (np.frombuffer(each, np.uint8) for each in changing):  # of a record, numpy does not let it write
             own = (ctypes.c_char * found.size).from_address(found.ctypes.data)
             self._states.append((memoryview(own).cast("B"), bytearray(own)))
 

@@ -242,9 +242,9 @@ def _below_the_guardian(priority: int) -> str:
 
 
 def _lock_memory() -> str:
-    """Lock all pages; beside LLVM, which has 200 MB and uses a tenth, those only that were ever touched.
+    """Lock all pages; beside LLVM and numpy, which map 250 MB and use a quarter, those only that were ever touched.
 
-    Else a killed loop would take 14 ms longer to leave the board.
+    Else a killed loop would take 10 ms longer to leave the board.
     """
     if "llvmlite.binding" in sys.modules:
         _call("mlockall", _MCL_CURRENT | _MCL_ONFAULT)

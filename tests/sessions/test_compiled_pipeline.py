@@ -32,9 +32,9 @@ def late(two_stops):
 def compiled(two_stops):
     """A new pipeline that decides in machine code."""
 
-    def make(may_make=True):
+    def make():
         config = session_config(two_stops, ())
-        return CompiledPipeline(config, build_pipeline(config), may_make=may_make)
+        return CompiledPipeline(config, build_pipeline(config), may_make=True)
 
     return make
 
@@ -83,11 +83,7 @@ def test_gains_change_at_the_same_ticks_and_stay_so_for_the_next_stop(compiled, 
     assert references[late - 1 : late + 1] == [0.2, 0.3]
 
 
-@pytest.mark.parametrize(
-    "changed",
-    [{"wheel_count": 1 << 41}, {"time_ns": 1}, {"dt_s": math.nan}],
-    ids=str,
-)
+@pytest.mark.parametrize("changed", [{"wheel_count": 1 << 41}, {"time_ns": 1}, {"dt_s": math.nan}], ids=str)
 @pytest.mark.parametrize("gains", [(), [(3, "Mk", 5.0)]], ids=["no change", "a change after it"])
 def test_what_machine_code_cannot_decide_python_decides_from_the_same_state(compiled, two_stops, late, changed, gains):
     inputs = list(seen(two_stops))
@@ -112,6 +108,6 @@ def test_a_change_that_fails_ends_the_run_as_in_python(compiled, two_stops, late
 
 def test_without_machine_code_on_disk_it_is_refused(tmp_path, monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    config = load_config(settings=(*LAW, "loop.rate_hz=512"))
+    config = load_config(settings=LAW)
     with pytest.raises(AbsError, match=r"loop\.compiled.*boundary-layer with kalman.*set it to false"):
         CompiledPipeline(config, build_pipeline(config))
